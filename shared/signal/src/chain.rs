@@ -1,0 +1,197 @@
+//! The whole dsp stage as one pure thing, live and offline.
+//!
+//! ```text
+//! block [channels × samples] ─▶ filter ─┬─▶ windows ─────────────▶ window [channels × window]
+//!                                       └─▶ envelope ─▶ activity ─▶ Calibrating | Rest | Move
+//! ```
+//! What comes out is the same to the bit however the samples are cut into blocks.
+
+use serde::{Deserialize, Serialize};
+
+use crate::activity::{Activity, ActivityDetector, ActivitySettings, Baseline};
+use crate::envelope::{DEFAULT_ENVELOPE_MS, Envelope};
+use crate::error::DesignError;
+use crate::filter::{EmgFilter, FilterSettings, is_usable};
+use crate::windows::{WindowSettings, Windower};
+
+/// All settings of the signal processing.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SignalSettings {
+    /// Notch and band-pass.
+    pub filter: FilterSettings,
+    /// Length of the moving RMS, in ms.
+    pub envelope_ms: f64,
+    /// Calibration and detection of movement.
+    pub activity: ActivitySettings,
+    /// Length and distance of the windows.
+    pub windows: WindowSettings,
+}
+
+impl Default for SignalSettings {
+    fn default() -> SignalSettings {
+        SignalSettings {
+            filter: FilterSettings::default(),
+            envelope_ms: DEFAULT_ENVELOPE_MS,
+            activity: ActivitySettings::default(),
+            windows: WindowSettings::default(),
+        }
+    }
+}
+
+/// A window that is due: [`SignalChain::write_window`] writes its samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Window {
+    /// Number of its first sample, counted from the start of the chain, lost samples included.
+    pub first_sample: u64,
+    /// Activity at its newest sample.
+    pub activity: Activity,
+    /// How many of its samples, over all channels, were not usable and replaced. With any, what the window
+    /// shows is not what the muscles did: it has to be treated as rest.
+    pub replaced_samples: u32,
+}
+
+/// What [`SignalChain::push`] did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Push {
+    /// Samples of each channel taken from the block, at least 1. Push again from there until all are.
+    pub consumed: usize,
+    /// How many of them, over all channels, were not usable and replaced.
+    pub replaced_samples: u32,
+    /// Activity at the last of them.
+    pub activity: Activity,
+    /// The window that ends with the last of them, if one does.
+    pub window: Option<Window>,
+}
+
+/// Filter, envelope, activity and windows of all channels of a session.
+///
+/// ```
+/// # use tendon_signal::{SignalChain, SignalSettings};
+/// let mut chain = SignalChain::new(&SignalSettings::default(), 4, 2000.0)?;
+/// let mut out = vec![0.0; chain.window_len()];
+/// let block = [0.0; 4 * 1000];
+/// let (samples, mut from, mut windows) = (1000, 0, 0);
+/// while from < samples {
+///     let push = chain.push(&block, from);
+///     from += push.consumed;
+///     if push.window.is_some() {
+///         chain.write_window(&mut out);
+///         windows += 1;
+///     }
+/// }
+/// assert_eq!(windows, 3);
+/// # Ok::<(), tendon_signal::DesignError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct SignalChain {
+    channels: usize,
+    filter: EmgFilter,
+    envelopes: Vec<Envelope>,
+    activity: ActivityDetector,
+    windower: Windower,
+    window_samples: usize,
+    /// Number of the next sample, lost ones included.
+    next_sample: u64,
+    /// The newest envelope of each channel.
+    envelope: Vec<f32>,
+    /// Of each sample being pushed, how many channels' were replaced.
+    replaced: Vec<u16>,
+}
+
+impl SignalChain {
+    /// A chain with all its memory.
+    ///
+    /// # Errors
+    /// The first setting that does not fit.
+    pub fn new(
+        settings: &SignalSettings,
+        channels: usize,
+        sample_rate_hz: f64,
+    ) -> Result<SignalChain, DesignError> {
+        Ok(SignalChain {
+            channels,
+            filter: EmgFilter::new(&settings.filter, channels, sample_rate_hz)?,
+            envelopes: vec![Envelope::new(settings.envelope_ms, sample_rate_hz)?; channels],
+            activity: ActivityDetector::new(&settings.activity, channels, sample_rate_hz)?,
+            windower: Windower::new(&settings.windows, channels)?,
+            window_samples: settings.windows.window_samples,
+            next_sample: 0,
+            envelope: vec![0.0; channels],
+            replaced: vec![0; settings.windows.window_samples],
+        })
+    }
+
+    /// Samples in a window over all channels: the length that [`SignalChain::write_window`] wants.
+    pub fn window_len(&self) -> usize {
+        self.channels * self.window_samples
+    }
+
+    /// What calibration found of each channel's rest; `None` until it is over.
+    pub fn baselines(&self) -> Option<&[Baseline]> {
+        self.activity.baselines()
+    }
+
+    /// Takes samples `from..` of `block`, `[channels × samples]`, but not beyond the end of the next window:
+    /// so that every window can be written when its newest sample is in.
+    ///
+    /// # Panics
+    /// If `block` is not a whole number of samples for every channel, or has none from `from` on.
+    pub fn push(&mut self, block: &[f32], from: usize) -> Push {
+        assert!(block.len().is_multiple_of(self.channels), "a block is channels × samples");
+        let samples = block.len() / self.channels;
+        assert!(from < samples, "nothing to push: the block has {samples} samples, pushed from {from}");
+        let consumed = self.windower.room().min(samples - from);
+
+        let replaced = &mut self.replaced[..consumed];
+        replaced.fill(0);
+        let mut replaced_samples = 0;
+        for (channel, raw) in block.chunks_exact(samples).enumerate() {
+            let raw = &raw[from..from + consumed];
+            let signal = self.windower.channel_mut(channel, consumed);
+            signal.copy_from_slice(raw);
+            let replaced_here = self.filter.process(channel, signal);
+            if replaced_here > 0 {
+                replaced_samples += replaced_here;
+                for (count, &sample) in replaced.iter_mut().zip(raw) {
+                    *count += u16::from(!is_usable(sample));
+                }
+            }
+        }
+        for sample in 0..consumed {
+            for (channel, (tracker, envelope)) in
+                self.envelopes.iter_mut().zip(&mut self.envelope).enumerate()
+            {
+                *envelope = tracker.push(self.windower.channel_mut(channel, consumed)[sample]);
+            }
+            self.activity.push(&self.envelope);
+        }
+        let window_ends = self.windower.advance(&self.replaced[..consumed]);
+        self.next_sample += consumed as u64;
+
+        let activity = self.activity.activity();
+        let window = window_ends.then(|| Window {
+            first_sample: self.next_sample - self.window_samples as u64,
+            activity,
+            replaced_samples: self.windower.replaced_samples(),
+        });
+        Push { consumed, replaced_samples, activity, window }
+    }
+
+    /// Writes the window that the last [`SignalChain::push`] completed as `[channels × window]`, filtered.
+    ///
+    /// # Panics
+    /// If `out` is not [`SignalChain::window_len`] long.
+    pub fn write_window(&self, out: &mut [f32]) {
+        self.windower.write_window(out);
+    }
+
+    /// Tells the chain that `lost_samples` samples of every channel are missing before the next ones: no
+    /// window spans the gap and movement has to be detected anew. The filter goes on as if nothing were
+    /// missing, which disturbs it less than starting again.
+    pub fn gap(&mut self, lost_samples: u64) {
+        self.next_sample += lost_samples;
+        self.windower.restart();
+        self.activity.restart();
+    }
+}

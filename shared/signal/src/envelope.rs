@@ -1,0 +1,63 @@
+//! The envelope: a moving root mean square, the paper's measure of muscle activity.
+
+use crate::error::{DesignError, samples_of};
+
+/// The paper's length of the moving RMS (section "Onset Detection"), in ms.
+pub const DEFAULT_ENVELOPE_MS: f64 = 25.0;
+
+/// Moving RMS of one channel. Samples before the first count as zero.
+///
+/// The sum over the last `length` squares is a sum of two sums that only ever add, so it cannot drift,
+/// however long it runs, nor become negative: the squares of this turn of the ring so far, and those of
+/// the turn before that are still within reach, added up backwards once a turn.
+///
+/// ```text
+/// ring   | this turn's squares | sums of last turn's squares from here to its end |
+///          ───── newest ─────▲   ▲── tail
+/// ```
+#[derive(Clone, Debug)]
+pub struct Envelope {
+    ring: Vec<f64>,
+    /// Where the next square goes.
+    next: usize,
+    /// Sum of this turn's squares.
+    head: f64,
+}
+
+impl Envelope {
+    /// An envelope over `length_ms`, rounded to samples.
+    ///
+    /// # Errors
+    /// A length of less than a sample.
+    pub fn new(length_ms: f64, sample_rate_hz: f64) -> Result<Envelope, DesignError> {
+        let length = samples_of("envelope_ms", length_ms, 1e-3, sample_rate_hz, DEFAULT_ENVELOPE_MS)?;
+        Ok(Envelope { ring: vec![0.0; length], next: 0, head: 0.0 })
+    }
+
+    /// Takes the next filtered sample and returns the RMS of the newest ones, in the sample's unit.
+    pub fn push(&mut self, sample: f32) -> f32 {
+        let square = f64::from(sample) * f64::from(sample);
+        self.ring[self.next] = square;
+        self.head += square;
+        self.next += 1;
+        let sum = match self.ring.get(self.next) {
+            Some(tail) => self.head + tail,
+            None => {
+                let whole = self.head;
+                self.start_turn();
+                whole
+            }
+        };
+        (sum / self.ring.len() as f64).sqrt() as f32
+    }
+
+    fn start_turn(&mut self) {
+        let mut sum = 0.0;
+        for value in self.ring.iter_mut().rev() {
+            sum += *value;
+            *value = sum;
+        }
+        self.next = 0;
+        self.head = 0.0;
+    }
+}

@@ -1,0 +1,249 @@
+//! The causal filter of the paper: notch against the mains, then a Butterworth band-pass, per channel.
+//!
+//! ```text
+//! f32 sample ─▶ usable? ─▶ notch ─▶ section ─▶ … ─▶ section ─▶ f32 sample
+//!                 │ no: the channel's last good sample      (state and signal in f64 between)
+//! ```
+//! The output is the same to the bit however the samples are cut into blocks.
+
+use serde::de::{self, Deserializer, Visitor};
+use serde::{Deserialize, Serialize, Serializer};
+
+use crate::design::{Section, butterworth_band_pass, butterworth_high_pass, notch};
+use crate::error::DesignError;
+
+/// Samples beyond this (in whatever unit the source has) are taken for faults, as NaN and infinity are:
+/// no amplifier or converter gives them, and the filter's output could leave the range of `f32`.
+pub const LARGEST_SAMPLE: f32 = 1e12;
+
+/// How the samples are filtered. A part of `tendon.toml` and of a model's metadata: a model fits a session
+/// only if both hold the same.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FilterSettings {
+    /// Mains frequency to remove, in Hz (60, or 50 where the mains has it); `"off"` for no notch.
+    #[serde(serialize_with = "write_notch", deserialize_with = "read_notch")]
+    pub notch_hz: Option<f64>,
+    /// Frequency / width of the notch at -3 dB.
+    pub notch_quality: f64,
+    /// Lower and upper edge of the band-pass, in Hz, at -3 dB. Where the upper edge is at or above half
+    /// the sampling rate, only the lower one is applied.
+    pub band_pass_hz: [f64; 2],
+    /// Order of the Butterworth band-pass in SciPy's sense: the steepness at either edge.
+    pub band_pass_order: usize,
+}
+
+impl Default for FilterSettings {
+    /// The paper's: 60 Hz notch, sixth-order 5 to 500 Hz.
+    fn default() -> FilterSettings {
+        FilterSettings {
+            notch_hz: Some(60.0),
+            notch_quality: 30.0,
+            band_pass_hz: [5.0, 500.0],
+            band_pass_order: 6,
+        }
+    }
+}
+
+impl FilterSettings {
+    /// The sections of the filter in the order in which they are applied.
+    ///
+    /// With the upper edge at or above half the sampling rate the band-pass becomes a high-pass of the same
+    /// order: there is nothing above the edge left to remove, the recorder's own anti-alias filter has
+    /// bounded the band before sampling.
+    ///
+    /// # Errors
+    /// The first setting that does not fit.
+    pub fn sections(&self, sample_rate_hz: f64) -> Result<Vec<Section>, DesignError> {
+        let [low_hz, high_hz] = self.band_pass_hz;
+        let order = self.band_pass_order;
+        let mut sections = Vec::new();
+        if let Some(frequency_hz) = self.notch_hz {
+            sections.push(notch(frequency_hz, self.notch_quality, sample_rate_hz)?);
+        }
+        let is_high_pass = high_hz.is_finite() && low_hz < high_hz && high_hz >= sample_rate_hz / 2.0;
+        sections.extend(if is_high_pass {
+            butterworth_high_pass(order, low_hz, sample_rate_hz)?
+        } else {
+            butterworth_band_pass(order, low_hz, high_hz, sample_rate_hz)?
+        });
+        Ok(sections)
+    }
+}
+
+fn write_notch<S: Serializer>(notch_hz: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+    // TOML has no null, and a key left out means the default: "off" has to be written out.
+    match notch_hz {
+        Some(frequency_hz) => serializer.serialize_f64(*frequency_hz),
+        None => serializer.serialize_str("off"),
+    }
+}
+
+fn read_notch<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    struct NotchVisitor;
+
+    impl Visitor<'_> for NotchVisitor {
+        type Value = Option<f64>;
+
+        fn expecting(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+            formatter.write_str("the mains frequency in Hz, or \"off\"")
+        }
+        fn visit_f64<E: de::Error>(self, value: f64) -> Result<Option<f64>, E> {
+            Ok(Some(value))
+        }
+        fn visit_i64<E: de::Error>(self, value: i64) -> Result<Option<f64>, E> {
+            Ok(Some(value as f64))
+        }
+        fn visit_u64<E: de::Error>(self, value: u64) -> Result<Option<f64>, E> {
+            Ok(Some(value as f64))
+        }
+        fn visit_str<E: de::Error>(self, value: &str) -> Result<Option<f64>, E> {
+            if value == "off" { Ok(None) } else { Err(E::invalid_value(de::Unexpected::Str(value), &self)) }
+        }
+    }
+
+    deserializer.deserialize_any(NotchVisitor)
+}
+
+/// The streaming filter of all channels of a session.
+#[derive(Clone, Debug)]
+pub struct EmgFilter {
+    sections: Vec<Section>,
+    channels: Vec<ChannelState>,
+}
+
+#[derive(Clone, Debug)]
+struct ChannelState {
+    /// Of each section, the two delayed sums of the transposed direct form II.
+    delays: Vec<[f64; 2]>,
+    /// `None` until the first usable sample.
+    last_good: Option<f32>,
+    /// Samples until the decayed delays are next set to zero, 1 to [`FLUSH_INTERVAL`].
+    until_flush: usize,
+}
+
+/// Every so many samples of a channel its decayed delays are set to zero. Counted in samples and not in
+/// blocks, so that the output does not depend on how the samples are cut.
+const FLUSH_INTERVAL: usize = 64;
+
+/// Below this a delay is as good as zero. On the way down to where `f64` becomes subnormal (1e-308), and
+/// arithmetic slow, it would have to shrink by more than any band-pass does in one interval.
+const DECAYED: f64 = 1e-30;
+
+impl EmgFilter {
+    /// Designs the filter for `channels` channels.
+    ///
+    /// # Errors
+    /// The first setting that does not fit.
+    pub fn new(
+        settings: &FilterSettings,
+        channels: usize,
+        sample_rate_hz: f64,
+    ) -> Result<EmgFilter, DesignError> {
+        if channels == 0 {
+            return Err(DesignError::NoChannels);
+        }
+        let sections = settings.sections(sample_rate_hz)?;
+        let channel = ChannelState {
+            delays: vec![[0.0; 2]; sections.len()],
+            last_good: None,
+            until_flush: FLUSH_INTERVAL,
+        };
+        Ok(EmgFilter { sections, channels: vec![channel; channels] })
+    }
+
+    /// Filters the next samples of `channel` in place and returns how many of them were not usable (NaN,
+    /// infinite, beyond [`LARGEST_SAMPLE`]) and taken as the channel's last good sample instead.
+    ///
+    /// The first good sample is taken to have lasted for ever, so that an offset of thousands of counts
+    /// does not ring. Before it, the output is 0.
+    ///
+    /// # Panics
+    /// If there is no such channel.
+    pub fn process(&mut self, channel: usize, samples: &mut [f32]) -> u32 {
+        let state = &mut self.channels[channel];
+        let started_at = match state.last_good {
+            Some(_) => 0,
+            None => state.start(&self.sections, samples),
+        };
+        let (silent, mut rest) = samples.split_at_mut(started_at);
+        silent.fill(0.0);
+        let mut replaced = silent.len() as u32;
+        while !rest.is_empty() {
+            let (piece, after) = rest.split_at_mut(rest.len().min(state.until_flush));
+            replaced += state.process_piece(&self.sections, piece);
+            rest = after;
+        }
+        replaced
+    }
+}
+
+/// Whether a sample can have come from a working source.
+pub(crate) fn is_usable(sample: f32) -> bool {
+    // False for NaN.
+    sample.abs() <= LARGEST_SAMPLE
+}
+
+impl ChannelState {
+    /// Settles the delays on the first usable sample and returns its position, all of them if there is none.
+    fn start(&mut self, sections: &[Section], samples: &[f32]) -> usize {
+        let Some(first) = samples.iter().position(|&sample| is_usable(sample)) else {
+            return samples.len();
+        };
+        self.last_good = Some(samples[first]);
+        // The steady state of each section for a constant input, as SciPy's sosfilt_zi.
+        let mut input = f64::from(samples[first]);
+        for (section, delay) in sections.iter().zip(&mut self.delays) {
+            let output = input * section.gain_at_zero_hz();
+            *delay = [output - section.b[0] * input, section.b[2] * input - section.a[1] * output];
+            input = output;
+        }
+        first
+    }
+
+    /// Filters at most `until_flush` samples.
+    fn process_piece(&mut self, sections: &[Section], piece: &mut [f32]) -> u32 {
+        let mut replaced = 0;
+        let mut last_good = self.last_good.unwrap_or(0.0);
+        let mut buffer = [0.0; FLUSH_INTERVAL];
+        let signal = &mut buffer[..piece.len()];
+        for (value, &mut sample) in signal.iter_mut().zip(piece.iter_mut()) {
+            if is_usable(sample) {
+                last_good = sample;
+            } else {
+                replaced += 1;
+            }
+            *value = f64::from(last_good);
+        }
+        self.last_good = Some(last_good);
+        for (section, delay) in sections.iter().zip(&mut self.delays) {
+            run_section(section, delay, signal);
+        }
+        for (sample, &value) in piece.iter_mut().zip(signal.iter()) {
+            *sample = value as f32;
+        }
+        self.until_flush -= piece.len();
+        if self.until_flush == 0 {
+            self.until_flush = FLUSH_INTERVAL;
+            for delay in self.delays.iter_mut().flatten().filter(|delay| delay.abs() < DECAYED) {
+                *delay = 0.0;
+            }
+        }
+        replaced
+    }
+}
+
+/// Transposed direct form II over one piece of one channel, the delays in registers.
+fn run_section(section: &Section, delay: &mut [f64; 2], signal: &mut [f64]) {
+    let [b0, b1, b2] = section.b;
+    let [a1, a2] = section.a;
+    let [mut delay_1, mut delay_2] = *delay;
+    for value in signal {
+        let input = *value;
+        let output = b0 * input + delay_1;
+        delay_1 = (b1 * input + delay_2) - a1 * output;
+        delay_2 = b2 * input - a2 * output;
+        *value = output;
+    }
+    *delay = [delay_1, delay_2];
+}

@@ -1,0 +1,32 @@
+//! The signal processing of the dsp stage, live and offline: one implementation, so that training and
+//! deployment cannot drift apart.
+//!
+//! ```text
+//! block ─▶ filter ─┬─▶ windows ──────────────▶ window
+//!                  └─▶ envelope ─▶ activity ─▶ rest or movement      all of it: chain
+//! recording ─▶ resample                                              to the session's rate
+//! recording ─▶ filter ─▶ onset                                       where the movement starts
+//! ```
+//! Everything that depends on time takes the sampling rate. Samples are `f32` in the source's unit (mV or
+//! ADC counts), blocks and windows are channel-major. Nothing allocates once constructed.
+#![forbid(unsafe_code)]
+
+mod activity;
+mod chain;
+mod design;
+mod envelope;
+mod error;
+mod filter;
+mod onset;
+mod resample;
+mod windows;
+
+pub use activity::{Activity, ActivityDetector, ActivitySettings, Baseline, SIGMA_PER_MAD};
+pub use chain::{Push, SignalChain, SignalSettings, Window};
+pub use design::{MAX_ORDER, Section, butterworth_band_pass, butterworth_high_pass, notch};
+pub use envelope::{DEFAULT_ENVELOPE_MS, Envelope};
+pub use error::DesignError;
+pub use filter::{EmgFilter, FilterSettings, LARGEST_SAMPLE};
+pub use onset::{OnsetSettings, find_onset};
+pub use resample::Resampler;
+pub use windows::{WindowSettings, Windower};

@@ -1,0 +1,130 @@
+//! Cutting the filtered signal into overlapping windows, what the classifier sees.
+//!
+//! ```text
+//! samples  ──────────────────────────────────────▶
+//! windows  [──────── window ────────]
+//!                [──────── window ────────]
+//!          ◀────▶ increment
+//! ```
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::DesignError;
+
+/// Length and distance of the windows. The defaults are the paper's 300 ms every 75 ms at 2000 Hz.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WindowSettings {
+    /// Samples of a channel in a window.
+    pub window_samples: usize,
+    /// Samples between the starts of two windows.
+    pub increment_samples: usize,
+}
+
+impl Default for WindowSettings {
+    fn default() -> WindowSettings {
+        WindowSettings { window_samples: 600, increment_samples: 150 }
+    }
+}
+
+/// A ring of the newest `window` samples of every channel, and the count to the next window's end.
+///
+/// Samples are written in place: [`Windower::room`] says how many, [`Windower::channel_mut`] gives each
+/// channel's place for them, [`Windower::advance`] takes them in.
+#[derive(Clone, Debug)]
+pub struct Windower {
+    window: usize,
+    increment: usize,
+    /// `[channels × window]`, each channel a ring.
+    ring: Vec<f32>,
+    /// Where the next sample goes in each channel's ring: also where the oldest one is.
+    next: usize,
+    until_window: usize,
+    /// Of each time in the ring, how many channels' samples were replaced, and their sum.
+    replaced: Vec<u16>,
+    replaced_sum: u32,
+}
+
+impl Windower {
+    /// A windower for `channels` channels.
+    ///
+    /// # Errors
+    /// No channels, or a window or increment of no samples.
+    pub fn new(settings: &WindowSettings, channels: usize) -> Result<Windower, DesignError> {
+        let WindowSettings { window_samples: window, increment_samples: increment } = *settings;
+        if channels == 0 {
+            return Err(DesignError::NoChannels);
+        }
+        if window == 0 {
+            return Err(DesignError::NoSamples { setting: "window_samples", example: 600 });
+        }
+        if increment == 0 {
+            return Err(DesignError::NoSamples { setting: "increment_samples", example: 150 });
+        }
+        let ring = vec![0.0; channels * window];
+        let replaced = vec![0; window];
+        Ok(Windower { window, increment, ring, next: 0, until_window: window, replaced, replaced_sum: 0 })
+    }
+
+    /// How many samples of each channel can be written next: up to the next window's end, or to the end of
+    /// the ring. At least 1.
+    pub fn room(&self) -> usize {
+        self.until_window.min(self.window - self.next)
+    }
+
+    /// Where to write the next `samples` samples of `channel`.
+    ///
+    /// # Panics
+    /// If there is no such channel, or `samples` is more than [`Windower::room`].
+    pub fn channel_mut(&mut self, channel: usize, samples: usize) -> &mut [f32] {
+        assert!(samples <= self.room(), "{samples} samples, but room for {}", self.room());
+        let start = channel * self.window + self.next;
+        &mut self.ring[start..start + samples]
+    }
+
+    /// Takes in the samples just written to every channel; `replaced` holds, for each of them in time, how
+    /// many channels' samples were not usable. True if a window ends with the newest: get it with
+    /// [`Windower::write_window`] before more samples are written.
+    ///
+    /// # Panics
+    /// If `replaced` is longer than [`Windower::room`].
+    pub fn advance(&mut self, replaced: &[u16]) -> bool {
+        let samples = replaced.len();
+        assert!(samples <= self.room(), "{samples} samples, but room for {}", self.room());
+        let overwritten = &mut self.replaced[self.next..self.next + samples];
+        for (old, &new) in overwritten.iter_mut().zip(replaced) {
+            self.replaced_sum = self.replaced_sum - u32::from(*old) + u32::from(new);
+            *old = new;
+        }
+        self.next = (self.next + samples) % self.window;
+        self.until_window -= samples;
+        if self.until_window == 0 {
+            self.until_window = self.increment;
+            return true;
+        }
+        false
+    }
+
+    /// How many samples, over all channels, of the newest `window` were not usable and replaced.
+    pub fn replaced_samples(&self) -> u32 {
+        self.replaced_sum
+    }
+
+    /// Forgets what was collected: the next window ends after a whole `window` of new samples.
+    pub fn restart(&mut self) {
+        self.until_window = self.window;
+    }
+
+    /// Writes the newest `window` samples, oldest first, as `[channels × window]`.
+    ///
+    /// # Panics
+    /// If `out` is not exactly `channels × window` long.
+    pub fn write_window(&self, out: &mut [f32]) {
+        assert_eq!(out.len(), self.ring.len(), "a window is channels × window samples");
+        for (out, ring) in out.chunks_exact_mut(self.window).zip(self.ring.chunks_exact(self.window)) {
+            let (newest, oldest) = ring.split_at(self.next);
+            out[..oldest.len()].copy_from_slice(oldest);
+            out[oldest.len()..].copy_from_slice(newest);
+        }
+    }
+}
