@@ -1,0 +1,300 @@
+"""Trains the 1D CNN of the paper (section "Classification Models") and exports it to ONNX with its contract.
+
+    python train.py --dataset DIR --classes six  --out ../cnn-six-class.onnx
+    python train.py --dataset DIR --classes five --out ../cnn-five-gesture.onnx
+
+DIR is what `tendon dataset build` wrote: windows that went through the same filters, onset detection and
+windowing as the live pipeline (windows.npy [n, channels, samples] float32, labels.npy, people.npy,
+manifest.json). The people named by --test-people are never seen in training; of the other windows, 20 % of
+each class are kept for validation and the epoch with the best validation accuracy is the one exported.
+
+Beside OUT this writes OUT with the ending .md, the model card, and prints the same numbers.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from torch import nn
+
+CONTRACT_VERSION = "1"
+GESTURES = ["rest", "extension", "flexion", "ulnar", "radial", "grip"]
+CLASSES = {"six": GESTURES, "five": GESTURES[1:]}
+BATCH = 128
+LEARNING_RATE = 1e-3
+WEIGHT_DECAY = 1e-4
+VALIDATION_SHARE = 0.2
+PARITY_TOLERANCE = 1e-4
+
+
+class GestureCnn(nn.Module):
+    """[batch, channels, samples] of the filtered signal to [batch, classes] logits; z-score included."""
+
+    def __init__(self, mean: torch.Tensor, std: torch.Tensor, classes: int):
+        super().__init__()
+        channels = len(mean)
+        self.register_buffer("mean", mean.reshape(1, channels, 1))
+        self.register_buffer("std", std.reshape(1, channels, 1))
+
+        def block(inputs: int, outputs: int, kernel: int) -> nn.Sequential:
+            return nn.Sequential(
+                nn.Conv1d(inputs, outputs, kernel, padding=kernel // 2),
+                nn.BatchNorm1d(outputs),
+                nn.ReLU(),
+                nn.MaxPool1d(2),
+            )
+
+        self.features = nn.Sequential(block(channels, 32, 7), block(32, 64, 5), block(64, 128, 5))
+        self.head = nn.Sequential(
+            nn.AdaptiveAvgPool1d(1),
+            nn.Flatten(),
+            nn.Linear(128, 64),
+            nn.ReLU(),
+            nn.Dropout(0.5),
+            nn.Linear(64, classes),
+        )
+
+    def forward(self, window: torch.Tensor) -> torch.Tensor:
+        return self.head(self.features((window - self.mean) / self.std))
+
+
+def stratified_split(labels: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Indices into `labels` for training and validation, each class split alike."""
+    train, validation = [], []
+    for label in np.unique(labels):
+        indices = rng.permutation(np.flatnonzero(labels == label))
+        kept = round(len(indices) * VALIDATION_SHARE)
+        validation.append(indices[:kept])
+        train.append(indices[kept:])
+    return np.concatenate(train), np.concatenate(validation)
+
+
+def channel_statistics(windows: np.ndarray, indices: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and standard deviation of each channel over the given windows, summed in float64."""
+    total = np.zeros(windows.shape[1])
+    squares = np.zeros(windows.shape[1])
+    for chunk in np.array_split(np.sort(indices), max(1, len(indices) // 4096)):
+        part = windows[chunk].astype(np.float64)
+        total += part.sum(axis=(0, 2))
+        squares += (part**2).sum(axis=(0, 2))
+    count = len(indices) * windows.shape[2]
+    mean = total / count
+    std = np.sqrt(squares / count - mean**2)
+    return torch.tensor(mean, dtype=torch.float32), torch.tensor(std, dtype=torch.float32)
+
+
+@torch.no_grad()
+def predict(model: nn.Module, windows: np.ndarray, indices: np.ndarray) -> np.ndarray:
+    """Predicted class of each window at `indices`, in their order."""
+    model.eval()
+    batches = (indices[start : start + 512] for start in range(0, len(indices), 512))
+    return np.concatenate([model(torch.from_numpy(windows[batch])).argmax(1).numpy() for batch in batches])
+
+
+def train(windows, labels, train_indices, validation_indices, classes, epochs, rng):
+    """The model of the epoch with the best validation accuracy, that accuracy and that epoch (from 1)."""
+    model = GestureCnn(*channel_statistics(windows, train_indices), classes)
+    optimiser = torch.optim.Adam(model.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+    criterion = nn.CrossEntropyLoss()
+    best = (-1.0, 0, None)
+    for epoch in range(1, epochs + 1):
+        started = time.monotonic()
+        model.train()
+        loss_sum = 0.0
+        order = rng.permutation(train_indices)
+        for start in range(0, len(order), BATCH):
+            batch = order[start : start + BATCH]
+            optimiser.zero_grad()
+            loss = criterion(model(torch.from_numpy(windows[batch])), torch.from_numpy(labels[batch]))
+            loss.backward()
+            optimiser.step()
+            loss_sum += loss.item() * len(batch)
+        accuracy = float((predict(model, windows, validation_indices) == labels[validation_indices]).mean())
+        print(
+            f"epoch {epoch:2d}/{epochs}  loss {loss_sum / len(order):.4f}  validation {accuracy:.4f}  "
+            f"{time.monotonic() - started:.0f} s",
+            flush=True,
+        )
+        if accuracy > best[0]:
+            best = (accuracy, epoch, {key: value.clone() for key, value in model.state_dict().items()})
+    model.load_state_dict(best[2])
+    return model, best[0], best[1]
+
+
+def confusion_matrix(truth: np.ndarray, predicted: np.ndarray, classes: int) -> np.ndarray:
+    """Counts, one row a true class, one column a predicted class."""
+    return np.bincount(truth * classes + predicted, minlength=classes * classes).reshape(classes, classes)
+
+
+def export(model: GestureCnn, shape: tuple[int, int], metadata: dict[str, str], out: Path) -> None:
+    """Writes OUT: input `window` [1, channels, samples], output `probabilities` [1, classes]."""
+    model.eval()
+    whole = nn.Sequential(model, nn.Softmax(dim=1)).eval()
+    torch.onnx.export(
+        whole,
+        (torch.zeros(1, *shape),),
+        out,
+        input_names=["window"],
+        output_names=["probabilities"],
+        opset_version=18,
+        external_data=False,
+        dynamo=True,
+    )
+    exported = onnx.load(out)
+    onnx.helper.set_model_props(exported, metadata)
+    onnx.checker.check_model(exported, full_check=True)
+    onnx.save(exported, out)
+
+
+def check_parity(model: GestureCnn, windows: np.ndarray, out: Path) -> float:
+    """Largest difference of a probability between PyTorch and ONNX Runtime over `windows`."""
+    session = onnxruntime.InferenceSession(out, providers=["CPUExecutionProvider"])
+    with torch.no_grad():
+        expected = torch.softmax(model.eval()(torch.from_numpy(windows)), dim=1).numpy()
+    got = np.concatenate([session.run(None, {"window": window[None]})[0] for window in windows])
+    return float(np.abs(expected - got).max())
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def write_card(out: Path, names, metadata, settings: dict, confusion: np.ndarray, people: dict, parity: float):
+    """The model card beside OUT, and on the terminal."""
+    with np.errstate(invalid="ignore"):
+        precision = confusion.diagonal() / confusion.sum(0)
+        recall = confusion.diagonal() / confusion.sum(1)
+        f1 = 2 * precision * recall / (precision + recall)
+    accuracy = confusion.trace() / confusion.sum()
+    scores = [
+        [name, f"{precision[i]:.3f}", f"{recall[i]:.3f}", f"{f1[i]:.3f}", str(confusion[i].sum())]
+        for i, name in enumerate(names)
+    ]
+    counts = [[f"**{name}**", *map(str, confusion[i])] for i, name in enumerate(names)]
+    by_person = [[str(person), f"{share:.3f}", str(count)] for person, (share, count) in people.items()]
+    card = f"""# {out.name}
+
+The 1D CNN of the paper: {len(names)} classes ({", ".join(names)}). Input `window` [1, {metadata["tendon.channels"]}, \
+{metadata["tendon.window_samples"]}]: the filtered signal in ADC counts, channel-major; output `probabilities` \
+[1, {len(names)}]. Z-score and softmax are inside the graph. Written by `training/train.py`.
+
+## Data
+3DC data set (Côté-Allard et al. 2019): raw forearm EMG, dry electrodes, 1000 Hz, resampled to 2000 Hz.
+{table(["", ""], [[key, str(value)] for key, value in settings.items()])}
+
+## Test on people never seen in training
+Accuracy **{accuracy:.4f}** over {confusion.sum()} windows.
+
+{table(["class", "precision", "recall", "F1", "windows"], scores)}
+
+Confusion matrix, one row a true class, one column a predicted class:
+
+{table(["", *names], counts)}
+
+{table(["person", "accuracy", "windows"], by_person)}
+
+## Limits
+- Validation windows overlap training windows of the same people (the split of the paper), so the validation
+  accuracy says nothing about a new person; the test accuracy does. Expect it to vary greatly between people.
+- Rest windows come from recordings of rest only; the relaxation right after a gesture is in no class.
+- Amplitudes are those of one armband in ADC counts: another amplifier needs a model trained on its own unit.
+- All windows of a file carry its label after onset detection, so some labels are wrong, mostly where a person
+  moved late or let go early.
+- The paper's accuracy (0.8646, Ozdemir data set, 35 people trained, five held out) was reached on other data and is
+  no yardstick for this number.
+
+PyTorch and ONNX Runtime differ by at most {parity:.1e} in a probability.
+
+## Credit
+Côté-Allard, U., Gagnon-Turcotte, G., Laviolette, F., Gosselin, B.: "A Low-Cost, Wireless, 3-D-Printed Custom
+Armband for sEMG Hand Gesture Recognition", Sensors 19(12):2811, 2019. Data: the 3DC data set, LibEMG/3DCDataset.
+"""
+    out.with_suffix(".md").write_text(card)
+    print(card)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--dataset", type=Path, required=True, help="folder with windows.npy and manifest.json")
+    parser.add_argument("--classes", choices=CLASSES, required=True, help="six with rest, five without")
+    parser.add_argument("--out", type=Path, required=True, help="the .onnx file to write; its card goes beside")
+    parser.add_argument("--epochs", type=int, default=30, help="default: %(default)s, the paper's")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--test-people", type=int, nargs="+", default=[19, 20, 22], help="default: %(default)s")
+    parser.add_argument("--threads", type=int, default=2, help="CPU threads; default: %(default)s")
+    arguments = parser.parse_args()
+
+    torch.set_num_threads(arguments.threads)
+    torch.manual_seed(arguments.seed)
+    rng = np.random.default_rng(arguments.seed)
+    names = CLASSES[arguments.classes]
+
+    manifest = json.loads((arguments.dataset / "manifest.json").read_text())
+    windows = np.load(arguments.dataset / "windows.npy", mmap_mode="r")
+    people = np.load(arguments.dataset / "people.npy")
+    # A label is the gesture's number; a class is its place in `names`, or negative where it is left out.
+    labels = np.load(arguments.dataset / "labels.npy").astype(np.int64) - (len(GESTURES) - len(names))
+    used = np.flatnonzero(labels >= 0)
+    held_out = np.isin(people[used], arguments.test_people)
+    development, test = used[~held_out], used[held_out]
+    if len(test) == 0 or len(development) == 0:
+        raise SystemExit(f"--test-people {arguments.test_people} leave no windows on one side; found {set(people)}")
+    train_part, validation_part = stratified_split(labels[development], rng)
+    train_indices, validation_indices = development[train_part], development[validation_part]
+    print(f"windows: {len(train_indices)} train, {len(validation_indices)} validation, {len(test)} test", flush=True)
+
+    model, validation_accuracy, best_epoch = train(
+        windows, labels, train_indices, validation_indices, len(names), arguments.epochs, rng
+    )
+
+    trained_people = sorted(int(person) for person in set(people[development]))
+    settings = {
+        "people trained on": " ".join(map(str, trained_people)),
+        "people held out for test": " ".join(map(str, arguments.test_people)),
+        "windows": f"{len(train_indices)} train, {len(validation_indices)} validation, {len(test)} test",
+        "channels of the armband": " ".join(map(str, manifest["channels"])),
+        "window, increment": f"{windows.shape[2]}, {manifest['increment_samples']} samples",
+        "filter": f"`{json.dumps(manifest['filter'])}`",
+        "optimiser": f"Adam {LEARNING_RATE}, weight decay {WEIGHT_DECAY}, batch {BATCH}, cross-entropy",
+        "epochs": f"{arguments.epochs}, best {best_epoch}",
+        "seed": arguments.seed,
+        "validation accuracy": f"{validation_accuracy:.4f}",
+    }
+    metadata = {
+        "tendon.contract_version": CONTRACT_VERSION,
+        "tendon.channels": str(windows.shape[1]),
+        "tendon.sample_rate_hz": f"{manifest['sample_rate_hz']:g}",
+        "tendon.window_samples": str(windows.shape[2]),
+        "tendon.filter": json.dumps(manifest["filter"], separators=(",", ":")),
+        "tendon.classes": ",".join(names),
+        "tendon.input_unit": "adc_counts",
+        "tendon.normalisation": "z-score, inside the graph",
+        "tendon.provenance": (
+            f"3DC data set (Cote-Allard et al. 2019); trained on people {settings['people trained on']}; "
+            f"held out {settings['people held out for test']}; {settings['windows']} windows; "
+            f"{settings['epochs']}; seed {arguments.seed}"
+        ),
+    }
+    export(model, windows.shape[1:], metadata, arguments.out)
+    parity = check_parity(model, np.ascontiguousarray(windows[test[:: max(1, len(test) // 256)]]), arguments.out)
+    if parity > PARITY_TOLERANCE:
+        raise SystemExit(f"{arguments.out}: differs from PyTorch by {parity:.1e}, more than {PARITY_TOLERANCE:.0e}")
+
+    predicted = predict(model, windows, test)
+    by_person = {
+        person: (float((predicted == labels[test])[people[test] == person].mean()), int((people[test] == person).sum()))
+        for person in arguments.test_people
+    }
+    confusion = confusion_matrix(labels[test], predicted, len(names))
+    write_card(arguments.out, names, metadata, settings, confusion, by_person, parity)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,251 @@
+//! A performance: who makes which gesture when, and how strongly each muscle pattern is in the signal.
+//!
+//! ```text
+//! commanded   rest │ extension          │ rest
+//! extension        ╱‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾╲
+//! rest        ‾‾‾‾‾╲____________________╱‾‾‾‾‾‾
+//! ```
+//!
+//! Every gesture, rest included, has a level from 0 to 1: it rises while the gesture is commanded and falls
+//! while it is not.
+
+use serde::{Deserialize, Serialize};
+use tendon_gesture::Gesture;
+
+use crate::script::Script;
+
+/// How fast contractions come and go.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ContractionSettings {
+    /// From nothing to a full contraction, in milliseconds.
+    pub rise_ms: f64,
+    /// From a full contraction to nothing, in milliseconds.
+    pub fall_ms: f64,
+}
+
+impl Default for ContractionSettings {
+    fn default() -> ContractionSettings {
+        ContractionSettings { rise_ms: 150.0, fall_ms: 150.0 }
+    }
+}
+
+/// What follows the last step of a script.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repeat {
+    /// The first step again.
+    Forever,
+    /// Rest.
+    Once,
+}
+
+/// The gesture that is truly made, as it stands after the newest sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Truth {
+    /// The commanded gesture, or rest.
+    pub gesture: Gesture,
+    /// The number of the first sample that belongs to this gesture and no other. A gesture begins with its
+    /// rise; what follows a gesture begins when the fall has ended, so during a fall this number lies ahead
+    /// of the newest sample. A window is wholly inside the gesture if it starts at this sample or later.
+    pub since_sample: u64,
+}
+
+/// Follows a script, or the gestures it is told, one sample at a time.
+#[derive(Clone, Debug)]
+pub struct Performance {
+    script: Option<Playback>,
+    levels: [f32; Gesture::COUNT],
+    rise_per_sample: f32,
+    fall_per_sample: f32,
+    fall_samples: u64,
+    sample: u64,
+    truth: Truth,
+}
+
+#[derive(Clone, Debug)]
+struct Playback {
+    script: Script,
+    repeat: Repeat,
+    sample_rate_hz: f64,
+    step: usize,
+    step_ends_at: u64,
+}
+
+impl Performance {
+    /// Rest, until [`Performance::set_gesture`] says otherwise.
+    ///
+    /// # Panics
+    /// If `sample_rate_hz` is not positive, or a duration in `contraction` is negative or not finite.
+    pub fn at_rest(contraction: ContractionSettings, sample_rate_hz: f64) -> Performance {
+        assert!(sample_rate_hz > 0.0 && sample_rate_hz.is_finite(), "sample rate {sample_rate_hz} Hz");
+        let samples = |milliseconds: f64| {
+            assert!(milliseconds >= 0.0 && milliseconds.is_finite(), "a contraction changes in {milliseconds} ms");
+            (milliseconds * 1e-3 * sample_rate_hz).round().max(1.0)
+        };
+        let fall_samples = samples(contraction.fall_ms);
+        let mut levels = [0.0; Gesture::COUNT];
+        levels[Gesture::Rest.index()] = 1.0;
+        Performance {
+            script: None,
+            levels,
+            rise_per_sample: (1.0 / samples(contraction.rise_ms)) as f32,
+            fall_per_sample: (1.0 / fall_samples) as f32,
+            fall_samples: fall_samples as u64,
+            sample: 0,
+            truth: Truth { gesture: Gesture::Rest, since_sample: 0 },
+        }
+    }
+
+    /// Follows `script` from its first step.
+    ///
+    /// # Panics
+    /// As [`Performance::at_rest`].
+    pub fn of_script(
+        script: Script,
+        repeat: Repeat,
+        contraction: ContractionSettings,
+        sample_rate_hz: f64,
+    ) -> Performance {
+        let mut performance = Performance::at_rest(contraction, sample_rate_hz);
+        let first = script.steps()[0];
+        let step_ends_at = duration_samples(first.duration, sample_rate_hz);
+        performance.script = Some(Playback { script, repeat, sample_rate_hz, step: 0, step_ends_at });
+        performance.command(first.gesture);
+        performance
+    }
+
+    /// Commands `gesture` from the next sample on; a script that was followed is followed no longer.
+    pub fn set_gesture(&mut self, gesture: Gesture) {
+        self.script = None;
+        self.command(gesture);
+    }
+
+    /// Whether a script played once has ended, or was left for [`Performance::set_gesture`].
+    pub fn is_finished(&self) -> bool {
+        self.script.is_none()
+    }
+
+    /// The truth after the newest sample.
+    pub fn truth(&self) -> Truth {
+        self.truth
+    }
+
+    /// Advances by one sample and says how strongly each gesture is in it, indexed by [`Gesture::index`].
+    pub(crate) fn next_levels(&mut self) -> &[f32; Gesture::COUNT] {
+        self.follow_script();
+        let commanded = self.truth.gesture.index();
+        for (index, level) in self.levels.iter_mut().enumerate() {
+            *level = if index == commanded {
+                (*level + self.rise_per_sample).min(1.0)
+            } else {
+                (*level - self.fall_per_sample).max(0.0)
+            };
+        }
+        self.sample += 1;
+        &self.levels
+    }
+
+    fn follow_script(&mut self) {
+        let Some(playback) = &mut self.script else { return };
+        if self.sample < playback.step_ends_at {
+            return;
+        }
+        playback.step += 1;
+        if playback.step == playback.script.steps().len() {
+            playback.step = 0;
+            if playback.repeat == Repeat::Once {
+                self.set_gesture(Gesture::Rest);
+                return;
+            }
+        }
+        let step = playback.script.steps()[playback.step];
+        playback.step_ends_at += duration_samples(step.duration, playback.sample_rate_hz);
+        self.command(step.gesture);
+    }
+
+    fn command(&mut self, gesture: Gesture) {
+        if gesture == self.truth.gesture {
+            return;
+        }
+        // Rest has no fall to wait for: it is the absence of a contraction. A fall before this one may still go on.
+        let previous_ends = if self.truth.gesture == Gesture::Rest {
+            self.truth.since_sample.max(self.sample)
+        } else {
+            self.sample + self.fall_samples
+        };
+        self.truth = Truth { gesture, since_sample: previous_ends };
+    }
+}
+
+/// Whole samples in `duration`, at least one so that every step is made.
+fn duration_samples(duration: std::time::Duration, sample_rate_hz: f64) -> u64 {
+    (duration.as_secs_f64() * sample_rate_hz).round().max(1.0) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATE_HZ: f64 = 1000.0;
+
+    fn play(text: &str, repeat: Repeat) -> Performance {
+        Performance::of_script(text.parse().unwrap(), repeat, ContractionSettings::default(), RATE_HZ)
+    }
+
+    /// Truth and levels after each of `count` samples.
+    fn follow(performance: &mut Performance, count: usize) -> Vec<(Truth, [f32; Gesture::COUNT])> {
+        (0..count)
+            .map(|_| {
+                let levels = *performance.next_levels();
+                (performance.truth(), levels)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_gesture_begins_with_its_rise_and_rest_after_its_fall() {
+        let mut performance = play("rest 1s, grip 1s, rest 1s", Repeat::Once);
+        let played = follow(&mut performance, 3000);
+        assert_eq!(played[999].0, Truth { gesture: Gesture::Rest, since_sample: 0 });
+        assert_eq!(played[1000].0, Truth { gesture: Gesture::Grip, since_sample: 1000 });
+        assert_eq!(played[1999].0, Truth { gesture: Gesture::Grip, since_sample: 1000 });
+        assert_eq!(played[2000].0, Truth { gesture: Gesture::Rest, since_sample: 2150 });
+        let grip = |sample: usize| played[sample].1[Gesture::Grip.index()];
+        assert_eq!(grip(999), 0.0);
+        assert!((grip(1074) - 0.5).abs() < 1e-3, "halfway up after half of the rise");
+        assert!((grip(1150) - 1.0).abs() < 1e-5);
+        assert!((grip(2074) - 0.5).abs() < 1e-3, "halfway down after half of the fall");
+        assert!(grip(2150) < 1e-5);
+        assert_eq!(grip(2151), 0.0);
+    }
+
+    #[test]
+    fn a_script_repeats_or_ends_in_rest() {
+        let mut forever = play("rest 1s, grip 1s", Repeat::Forever);
+        let mut once = play("rest 1s, grip 1s", Repeat::Once);
+        let forever_played = follow(&mut forever, 4000);
+        let once_played = follow(&mut once, 4000);
+        assert_eq!(forever_played[3500].0.gesture, Gesture::Grip);
+        assert!(!forever.is_finished());
+        assert_eq!(once_played[3500].0, Truth { gesture: Gesture::Rest, since_sample: 2150 });
+        assert!(once.is_finished());
+    }
+
+    #[test]
+    fn a_brief_gesture_does_not_hide_the_fall_before_it() {
+        let mut performance = play("flexion 1s, rest 50ms, grip 1s", Repeat::Once);
+        let played = follow(&mut performance, 1100);
+        assert_eq!(played[1099].0, Truth { gesture: Gesture::Grip, since_sample: 1150 });
+    }
+
+    #[test]
+    fn a_gesture_set_from_outside_replaces_the_script() {
+        let mut performance = play("rest 1s, grip 1s", Repeat::Forever);
+        follow(&mut performance, 100);
+        performance.set_gesture(Gesture::Ulnar);
+        let played = follow(&mut performance, 2000);
+        assert!(played.iter().all(|(truth, _)| *truth == Truth { gesture: Gesture::Ulnar, since_sample: 100 }));
+        assert_eq!(played[1999].1[Gesture::Ulnar.index()], 1.0);
+        assert_eq!(played[1999].1[Gesture::Rest.index()], 0.0);
+    }
+}
