@@ -1,0 +1,232 @@
+//! Forward kinematics and Jacobian of the UFACTORY xArm7.
+//!
+//! Seven revolute joints in a chain. Each has an origin, fixed in the frame of the joint before it, and
+//! turns about its own z axis; the frame of joint 7 is the flange. With all joints zero the flange is at
+//! (206.0, 0, 120.5) mm and looks down.
+//!
+//! Source of the joint origins and limits: the vendor's URDF (`xarm_description` in the ROS driver
+//! `xarm_ros2`). A robot's own calibration differs from it by fractions of a millimetre.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::{ArrayStorage, Isometry3, SMatrix, SVector, Translation3, UnitQuaternion, Vector3};
+
+/// One value a joint, joint 1 first.
+pub type JointVector = SVector<f64, 7>;
+
+/// The geometric Jacobian: rows are linear x, y, z in m then angular x, y, z in rad, one column a joint.
+pub type Jacobian = SMatrix<f64, 6, 7>;
+
+/// Lower joint limits in rad.
+pub const LOWER_LIMITS_RAD: JointVector =
+    joint_vector([-2.0 * PI, -2.059, -2.0 * PI, -0.19198, -2.0 * PI, -1.69297, -2.0 * PI]);
+
+/// Upper joint limits in rad.
+pub const UPPER_LIMITS_RAD: JointVector =
+    joint_vector([2.0 * PI, 2.0944, 2.0 * PI, 3.927, 2.0 * PI, PI, 2.0 * PI]);
+
+/// The greatest speed of every joint in rad/s.
+pub const JOINT_SPEED_LIMIT_RAD_PER_S: f64 = 3.14;
+
+/// A joint vector in a constant.
+const fn joint_vector(values: [f64; 7]) -> JointVector {
+    JointVector::from_array_storage(ArrayStorage([values]))
+}
+
+/// Joint origins in the frame of the joint before: x, y, z in m, then rotation about x in rad (no origin
+/// is turned about another axis).
+const JOINT_ORIGINS: [([f64; 3], f64); 7] = [
+    ([0.0, 0.0, 0.267], 0.0),
+    ([0.0, 0.0, 0.0], -FRAC_PI_2),
+    ([0.0, -0.293, 0.0], FRAC_PI_2),
+    ([0.0525, 0.0, 0.0], FRAC_PI_2),
+    ([0.0775, -0.3425, 0.0], FRAC_PI_2),
+    ([0.0, 0.0, 0.0], FRAC_PI_2),
+    ([0.076, 0.097, 0.0], -FRAC_PI_2),
+];
+
+/// The kinematic chain of the xArm7, without a tool.
+#[derive(Clone, Debug)]
+pub struct XArm7 {
+    /// Origin of each joint in the frame of the joint before.
+    origins: [Isometry3<f64>; 7],
+}
+
+/// Where a joint's axis lies in the base frame.
+#[derive(Clone, Copy, Default)]
+struct Axis {
+    /// A point on the axis, in m.
+    origin_m: Vector3<f64>,
+    /// Unit vector along the axis.
+    direction: Vector3<f64>,
+}
+
+impl XArm7 {
+    /// The arm with the vendor's nominal dimensions.
+    pub fn new() -> XArm7 {
+        let origins = JOINT_ORIGINS.map(|(xyz_m, roll_rad)| {
+            Isometry3::from_parts(
+                Translation3::from(xyz_m),
+                UnitQuaternion::from_euler_angles(roll_rad, 0.0, 0.0),
+            )
+        });
+        XArm7 { origins }
+    }
+
+    /// Pose of the flange in the base frame, in metres, for these joint angles in rad.
+    pub fn flange_pose_m(&self, joints_rad: &JointVector) -> Isometry3<f64> {
+        self.chain(joints_rad).1
+    }
+
+    /// Geometric Jacobian of the flange in the base frame: flange velocity (m/s, rad/s) = Jacobian ·
+    /// joint velocities (rad/s). Column j is `[z_j × (p − p_j); z_j]` with the axis direction `z_j`, a point
+    /// on it `p_j` and the flange position `p` (Siciliano et al., Robotics, 2009, eq. 3.30).
+    pub fn jacobian(&self, joints_rad: &JointVector) -> Jacobian {
+        let (axes, flange) = self.chain(joints_rad);
+        let tip = flange.translation.vector;
+        let mut jacobian = Jacobian::zeros();
+        for (axis, mut column) in axes.iter().zip(jacobian.column_iter_mut()) {
+            column.fixed_rows_mut::<3>(0).copy_from(&axis.direction.cross(&(tip - axis.origin_m)));
+            column.fixed_rows_mut::<3>(3).copy_from(&axis.direction);
+        }
+        jacobian
+    }
+
+    /// How fast the Jacobian changes (its entries per second) while the joints move at these velocities
+    /// in rad/s: the time derivative of the columns of [`XArm7::jacobian`].
+    pub fn jacobian_rate(&self, joints_rad: &JointVector, velocities_rad_per_s: &JointVector) -> Jacobian {
+        let (axes, flange) = self.chain(joints_rad);
+        let tip = flange.translation.vector;
+        // Walk outward: `angular` and `linear` are the velocities of the link that carries the axis.
+        let mut angular = Vector3::zeros();
+        let mut linear = Vector3::zeros();
+        let mut previous = axes[0].origin_m;
+        let mut origin_rates = [Vector3::zeros(); 7];
+        let mut direction_rates = [Vector3::zeros(); 7];
+        for (joint, axis) in axes.iter().enumerate() {
+            linear += angular.cross(&(axis.origin_m - previous));
+            origin_rates[joint] = linear;
+            direction_rates[joint] = angular.cross(&axis.direction);
+            angular += axis.direction * velocities_rad_per_s[joint];
+            previous = axis.origin_m;
+        }
+        let tip_rate = linear + angular.cross(&(tip - previous));
+        let mut rate = Jacobian::zeros();
+        for (joint, mut column) in rate.column_iter_mut().enumerate() {
+            let Axis { origin_m, direction } = axes[joint];
+            let linear = direction_rates[joint].cross(&(tip - origin_m))
+                + direction.cross(&(tip_rate - origin_rates[joint]));
+            column.fixed_rows_mut::<3>(0).copy_from(&linear);
+            column.fixed_rows_mut::<3>(3).copy_from(&direction_rates[joint]);
+        }
+        rate
+    }
+
+    /// The joint axes in the base frame, and the flange pose at the end of the chain.
+    fn chain(&self, joints_rad: &JointVector) -> ([Axis; 7], Isometry3<f64>) {
+        let mut axes = [Axis::default(); 7];
+        let mut pose = Isometry3::identity();
+        for (joint, origin) in self.origins.iter().enumerate() {
+            pose *= origin;
+            axes[joint] = Axis { origin_m: pose.translation.vector, direction: pose.rotation * Vector3::z() };
+            pose *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), joints_rad[joint]);
+        }
+        (axes, pose)
+    }
+}
+
+impl Default for XArm7 {
+    fn default() -> XArm7 {
+        XArm7::new()
+    }
+}
+
+/// Whether every joint angle (rad) is finite and within its limits.
+#[cfg(test)]
+pub(crate) fn within_limits(joints_rad: &JointVector) -> bool {
+    (0..7).all(|joint| (LOWER_LIMITS_RAD[joint]..=UPPER_LIMITS_RAD[joint]).contains(&joints_rad[joint]))
+}
+
+/// Any posture within the joint limits, for property tests.
+#[cfg(test)]
+pub(crate) fn any_posture() -> impl proptest::strategy::Strategy<Value = JointVector> {
+    use proptest::prelude::*;
+    prop::array::uniform7(0.0..=1.0_f64).prop_map(|shares| {
+        LOWER_LIMITS_RAD + (UPPER_LIMITS_RAD - LOWER_LIMITS_RAD).component_mul(&JointVector::from(shares))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix3;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[derive(serde::Deserialize)]
+    struct GoldenCase {
+        joints_rad: [f64; 7],
+        position_m: [f64; 3],
+        rotation: Vec<f64>,
+        jacobian: Vec<f64>,
+    }
+
+    #[test]
+    fn pose_and_jacobian_agree_with_pinocchio() {
+        let cases: Vec<GoldenCase> =
+            serde_json::from_str(include_str!("../tests/golden/kinematics.json")).unwrap();
+        assert_eq!(cases.len(), 60);
+        let arm = XArm7::new();
+        for case in cases {
+            let joints = JointVector::from(case.joints_rad);
+            let pose = arm.flange_pose_m(&joints);
+            assert!((pose.translation.vector - Vector3::from(case.position_m)).amax() < 1e-9);
+            let rotation = pose.rotation.to_rotation_matrix().into_inner();
+            assert!((rotation - Matrix3::from_row_slice(&case.rotation)).amax() < 1e-9);
+            assert!((arm.jacobian(&joints) - Jacobian::from_row_slice(&case.jacobian)).amax() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn with_all_joints_zero_the_flange_is_where_the_vendor_says() {
+        let pose = XArm7::new().flange_pose_m(&JointVector::zeros());
+        assert!((pose.translation.vector - Vector3::new(0.206, 0.0, 0.1205)).amax() < 1e-12);
+        let rotation = pose.rotation.to_rotation_matrix().into_inner();
+        assert!((rotation - Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0))).amax() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn jacobian_agrees_with_finite_differences(joints in any_posture()) {
+            let arm = XArm7::new();
+            let jacobian = arm.jacobian(&joints);
+            let step = 1e-6;
+            for joint in 0..7 {
+                let mut ahead = joints;
+                ahead[joint] += step;
+                let mut behind = joints;
+                behind[joint] -= step;
+                let (ahead, behind) = (arm.flange_pose_m(&ahead), arm.flange_pose_m(&behind));
+                let linear = (ahead.translation.vector - behind.translation.vector) / (2.0 * step);
+                let angular = (ahead.rotation * behind.rotation.inverse()).scaled_axis() / (2.0 * step);
+                let column = jacobian.column(joint);
+                prop_assert!((column.fixed_rows::<3>(0) - linear).amax() < 1e-8);
+                prop_assert!((column.fixed_rows::<3>(3) - angular).amax() < 1e-8);
+            }
+        }
+
+        #[test]
+        fn jacobian_rate_agrees_with_finite_differences(
+            joints in any_posture(),
+            velocities in prop::array::uniform7(-3.0..3.0_f64),
+        ) {
+            let arm = XArm7::new();
+            let velocities = JointVector::from(velocities);
+            let step_s = 1e-6;
+            let ahead = arm.jacobian(&(joints + velocities * step_s));
+            let behind = arm.jacobian(&(joints - velocities * step_s));
+            let rate = arm.jacobian_rate(&joints, &velocities);
+            prop_assert!((rate - (ahead - behind) / (2.0 * step_s)).amax() < 1e-6);
+        }
+    }
+}

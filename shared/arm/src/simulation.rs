@@ -1,0 +1,377 @@
+//! The kinematic simulated arm: follows velocities exactly, without mass or friction.
+//!
+//! Time is given from outside. It advances in steps of 4 ms (250 Hz, the rate of the vendor's controller); the
+//! state is that at the end of the last whole step, however often or seldom [`SimulatedArm::tick`] is
+//! called. The same calls give the same motion every time.
+
+use crate::kinematics::{JointVector, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD, XArm7};
+use crate::velocity::joint_velocities;
+use crate::{ArmSettings, ArmSettingsError, NonFiniteTwist, Twist, TwistRamp};
+
+/// Length of an integration step in ns: 250 Hz.
+pub const STEP_NS: u64 = 4_000_000;
+
+const STEP_S: f64 = STEP_NS as f64 * 1e-9;
+
+/// Where the gripper is to go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GripperCommand {
+    /// To the open position of the settings.
+    Open,
+    /// To the closed position of the settings.
+    Close,
+}
+
+/// What an arm reports.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ArmState {
+    /// Joint angles in rad, joint 1 first.
+    pub joints_rad: [f64; 7],
+    /// Position of the flange in the base frame in mm.
+    pub position_mm: [f64; 3],
+    /// Orientation of the flange in the base frame as roll, pitch, yaw in rad by the vendor's convention:
+    /// R = Rz(yaw) · Ry(pitch) · Rx(roll).
+    pub orientation_rpy_rad: [f64; 3],
+    /// Linear speed of the flange in mm/s.
+    pub linear_speed_mm_per_s: f64,
+    /// Position of the gripper in pulses, about −10 (closed) to 850 (open).
+    pub gripper_position_pulses: f64,
+    /// Whether the last command ran out (see [`ArmSettings::watchdog_ms`]) and none has come since.
+    pub halted_by_watchdog: bool,
+}
+
+/// A simulated xArm7 with a gripper.
+#[derive(Clone, Debug)]
+pub struct SimulatedArm {
+    arm: XArm7,
+    settings: ArmSettings,
+    ramp: TwistRamp,
+    joints_rad: JointVector,
+    gripper_pulses: f64,
+    gripper_target_pulses: f64,
+    /// The end of the last step.
+    now_ns: u64,
+}
+
+impl SimulatedArm {
+    /// The arm at rest in the start posture of the settings, its gripper open, at the time `now_ns`.
+    ///
+    /// # Errors
+    /// [`ArmSettingsError`] names the setting that no arm can follow.
+    pub fn new(settings: ArmSettings, now_ns: u64) -> Result<SimulatedArm, ArmSettingsError> {
+        settings.check()?;
+        Ok(SimulatedArm {
+            arm: XArm7::new(),
+            ramp: TwistRamp::new(&settings),
+            joints_rad: settings.start_joints_rad(),
+            gripper_pulses: settings.gripper_open_pulses,
+            gripper_target_pulses: settings.gripper_open_pulses,
+            settings,
+            now_ns,
+        })
+    }
+
+    /// Lets the time up to `now_ns` pass, then ramps to this twist until the watchdog or another command. A
+    /// twist above the speed limits is slowed as a whole.
+    ///
+    /// # Errors
+    /// A twist that is not finite is taken as [`Twist::ZERO`]; [`NonFiniteTwist`] names the component.
+    pub fn command(&mut self, twist: Twist, now_ns: u64) -> Result<(), NonFiniteTwist> {
+        self.tick(now_ns);
+        let finite = twist.finite();
+        self.ramp.command(finite.unwrap_or(Twist::ZERO), now_ns);
+        finite.map(|_| ())
+    }
+
+    /// Lets the time up to `now_ns` pass, then sets the gripper moving and returns at once. The gripper goes
+    /// to the end whatever becomes of the arm's commands, except for a [`SimulatedArm::halt`]: a watchdog that
+    /// stopped it would drop what it is about to hold.
+    pub fn command_gripper(&mut self, command: GripperCommand, now_ns: u64) {
+        self.tick(now_ns);
+        self.gripper_target_pulses = match command {
+            GripperCommand::Open => self.settings.gripper_open_pulses,
+            GripperCommand::Close => self.settings.gripper_closed_pulses,
+        };
+    }
+
+    /// Stops arm and gripper where they are, at once and without a ramp, until the next command.
+    pub fn halt(&mut self) {
+        self.ramp.halt();
+        self.gripper_target_pulses = self.gripper_pulses;
+    }
+
+    /// Takes all steps that end by `now_ns`. A time before the last step changes nothing.
+    pub fn tick(&mut self, now_ns: u64) {
+        while now_ns.saturating_sub(self.now_ns) >= STEP_NS {
+            if self.ramp.is_at_rest() && self.gripper_pulses == self.gripper_target_pulses {
+                // Nothing moves: pass over the steps, however long the caller was away.
+                self.now_ns += (now_ns - self.now_ns) / STEP_NS * STEP_NS;
+            } else {
+                self.step();
+            }
+        }
+    }
+
+    /// Takes one step of [`STEP_NS`].
+    pub fn step(&mut self) {
+        let twist = self.ramp.advance(self.now_ns, STEP_S);
+        // Midpoint rule: its error a step is of third order, so that orientation does not drift in hours of use.
+        let begin = joint_velocities(&self.arm, &self.joints_rad, &twist);
+        let middle_rad = self.joints_rad + begin.rad_per_s * (0.5 * STEP_S);
+        let middle = joint_velocities(&self.arm, &middle_rad, &twist);
+        // The limits held at the midpoint, the end of the step may be a rounding beyond.
+        self.joints_rad =
+            (self.joints_rad + middle.rad_per_s * STEP_S).sup(&LOWER_LIMITS_RAD).inf(&UPPER_LIMITS_RAD);
+        self.ramp.slow_to(middle.scale);
+
+        let travel = self.settings.gripper_speed_pulses_per_s * STEP_S;
+        let left = self.gripper_target_pulses - self.gripper_pulses;
+        if left.abs() <= travel {
+            self.gripper_pulses = self.gripper_target_pulses;
+        } else {
+            self.gripper_pulses += travel.copysign(left);
+        }
+        self.now_ns += STEP_NS;
+    }
+
+    /// The state at the end of the last step.
+    pub fn state(&self) -> ArmState {
+        let pose = self.arm.flange_pose_m(&self.joints_rad);
+        let (roll, pitch, yaw) = pose.rotation.euler_angles();
+        ArmState {
+            joints_rad: self.joints_rad.into(),
+            position_mm: (pose.translation.vector * 1e3).into(),
+            orientation_rpy_rad: [roll, pitch, yaw],
+            linear_speed_mm_per_s: self.ramp.velocity().linear_speed_mm_per_s(),
+            gripper_position_pulses: self.gripper_pulses,
+            halted_by_watchdog: self.ramp.halted_by_watchdog(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Rotation3, Vector3};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::kinematics::{JOINT_SPEED_LIMIT_RAD_PER_S, any_posture, within_limits};
+    use crate::velocity::{SMALLEST_SINGULAR_VALUE, smallest_singular_value};
+
+    const MS: u64 = 1_000_000;
+
+    fn arm() -> SimulatedArm {
+        SimulatedArm::new(ArmSettings::default(), 0).unwrap()
+    }
+
+    fn linear(x: f64, y: f64, z: f64) -> Twist {
+        Twist { linear_mm_per_s: [x, y, z], ..Twist::ZERO }
+    }
+
+    /// Commands the twist every 20 ms for this long.
+    fn hold(arm: &mut SimulatedArm, twist: Twist, duration_ms: u64) {
+        let begin_ns = arm.now_ns;
+        for elapsed_ms in (0..duration_ms).step_by(20) {
+            arm.command(twist, begin_ns + elapsed_ms * MS).unwrap();
+        }
+        arm.tick(begin_ns + duration_ms * MS);
+    }
+
+    /// Lets the arm slow down and returns how far its position is from another, in mm.
+    fn rest_away_from(arm: &mut SimulatedArm, position_mm: [f64; 3]) -> Vector3<f64> {
+        hold(arm, Twist::ZERO, 300);
+        assert_eq!(arm.state().linear_speed_mm_per_s, 0.0);
+        Vector3::from(arm.state().position_mm) - Vector3::from(position_mm)
+    }
+
+    #[test]
+    fn the_start_posture_is_the_documented_one() {
+        let state = arm().state();
+        assert!((Vector3::from(state.position_mm) - Vector3::new(386.0, 0.0, 362.0)).amax() < 0.5);
+        let [roll, pitch, yaw] = state.orientation_rpy_rad;
+        assert!((roll.abs() - std::f64::consts::PI).abs() < 1e-9 && pitch.abs() < 1e-9 && yaw.abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_orientation_follows_the_vendors_convention() {
+        let mut arm = arm();
+        let twist = Twist { angular_rad_per_s: [0.3, 0.2, 0.1], ..Twist::ZERO };
+        hold(&mut arm, twist, 1000);
+        let [roll, pitch, yaw] = arm.state().orientation_rpy_rad;
+        let about = |axis, angle| Rotation3::from_axis_angle(&axis, angle);
+        let rotation =
+            about(Vector3::z_axis(), yaw) * about(Vector3::y_axis(), pitch) * about(Vector3::x_axis(), roll);
+        let pose = arm.arm.flange_pose_m(&arm.joints_rad);
+        assert!(rotation.angle_to(&pose.rotation.to_rotation_matrix()) < 1e-7);
+        assert!(roll.abs() > 0.01 && pitch.abs() > 0.01 && yaw.abs() > 0.01);
+    }
+
+    #[test]
+    fn there_are_200_mm_of_straight_way_along_y_and_z() {
+        for direction in [linear(0.0, 100.0, 0.0), linear(0.0, 0.0, 100.0)] {
+            for sign in [1.0, -1.0] {
+                let mut arm = arm();
+                let (start, wanted) =
+                    (arm.state().position_mm, Vector3::from(direction.linear_mm_per_s) * sign);
+                hold(&mut arm, direction.scaled(sign), 2000);
+                // A ramp up and a ramp down of 0.2 s: the way is that of 2 s at full speed.
+                let away = rest_away_from(&mut arm, start);
+                assert!((away - wanted * 2.0).amax() < 1e-2, "{away}");
+                assert!(smallest_singular_value(&arm.arm, &arm.joints_rad) > 0.16);
+                let room = (UPPER_LIMITS_RAD - arm.joints_rad).inf(&(arm.joints_rad - LOWER_LIMITS_RAD));
+                assert!(room.min() > 25_f64.to_radians());
+                hold(&mut arm, direction.scaled(-sign), 2000);
+                assert!(rest_away_from(&mut arm, start).amax() < 1e-2);
+                let down = arm.arm.flange_pose_m(&arm.joints_rad).rotation * Vector3::z();
+                assert!((down + Vector3::z()).amax() < 1e-6, "{down}");
+            }
+        }
+    }
+
+    #[test]
+    fn at_the_edge_of_the_workspace_the_arm_stops_and_comes_back() {
+        for outward in [linear(100.0, 0.0, 0.0), linear(0.0, 100.0, 0.0), linear(0.0, 0.0, 100.0)] {
+            for sign in [1.0, -1.0] {
+                let mut arm = arm();
+                hold(&mut arm, outward.scaled(sign), 20_000);
+                let edge = arm.state();
+                assert!(edge.linear_speed_mm_per_s < 1.0, "{edge:?}");
+                hold(&mut arm, outward.scaled(-sign), 1500);
+                let back = Vector3::from(arm.state().position_mm) - Vector3::from(edge.position_mm);
+                let inward = -Vector3::from(outward.linear_mm_per_s) * sign / 100.0;
+                assert!(back.dot(&inward) > 100.0, "{back}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_motion_commanded_nothing_drifts() {
+        let mut arm = arm();
+        hold(&mut arm, linear(40.0, 30.0, -20.0), 1000);
+        hold(&mut arm, Twist::ZERO, 500);
+        let still = arm.state();
+        hold(&mut arm, Twist::ZERO, 60_000);
+        assert_eq!(arm.state(), still);
+    }
+
+    #[test]
+    fn a_halt_stops_arm_and_gripper_at_once_until_the_next_command() {
+        let mut arm = arm();
+        arm.command_gripper(GripperCommand::Close, 0);
+        hold(&mut arm, linear(100.0, 0.0, 0.0), 300);
+        assert!(arm.state().linear_speed_mm_per_s > 99.0);
+        arm.halt();
+        let halted = arm.state();
+        assert_eq!(halted.linear_speed_mm_per_s, 0.0);
+        arm.tick(2000 * MS);
+        assert_eq!(arm.state(), halted);
+        arm.command(linear(100.0, 0.0, 0.0), 2000 * MS).unwrap();
+        arm.tick(2100 * MS);
+        assert!(arm.state().linear_speed_mm_per_s > 40.0);
+    }
+
+    #[test]
+    fn a_twist_that_is_not_finite_is_a_stop() {
+        let mut arm = arm();
+        hold(&mut arm, linear(0.0, 100.0, 0.0), 300);
+        assert!(arm.command(linear(f64::NAN, 100.0, 0.0), 300 * MS).is_err());
+        arm.tick(520 * MS);
+        let state = arm.state();
+        assert_eq!(state.linear_speed_mm_per_s, 0.0);
+        assert!(state.joints_rad.iter().all(|angle| angle.is_finite()));
+    }
+
+    #[test]
+    fn the_gripper_travels_at_its_speed_and_to_its_end() {
+        let mut arm = arm();
+        assert_eq!(arm.state().gripper_position_pulses, 850.0);
+        arm.command_gripper(GripperCommand::Close, 0);
+        arm.tick(200 * MS);
+        assert!((arm.state().gripper_position_pulses - 550.0).abs() < 1e-9);
+        arm.tick(1000 * MS);
+        assert_eq!(arm.state().gripper_position_pulses, -10.0);
+        arm.command_gripper(GripperCommand::Open, 1000 * MS);
+        arm.tick(1100 * MS);
+        assert!((arm.state().gripper_position_pulses - 140.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn years_of_silence_pass_in_no_time_and_keep_the_rhythm_of_steps() {
+        let mut arm = arm();
+        arm.tick(u64::MAX);
+        assert!(u64::MAX - arm.now_ns < STEP_NS && arm.now_ns.is_multiple_of(STEP_NS));
+        arm.tick(0);
+        assert_eq!(arm.joints_rad, ArmSettings::default().start_joints_rad());
+    }
+
+    /// A twist and for how many ms it is held; `None` is silence.
+    fn any_commands() -> impl Strategy<Value = Vec<(Option<Twist>, u64)>> {
+        let axis_push = (0..3_usize, prop::bool::ANY).prop_map(|(axis, positive)| {
+            let mut twist = Twist::ZERO;
+            twist.linear_mm_per_s[axis] = if positive { 100.0 } else { -100.0 };
+            twist
+        });
+        let anything = (prop::array::uniform3(-200.0..200.0_f64), prop::array::uniform3(-1.0..1.0_f64))
+            .prop_map(|(linear_mm_per_s, angular_rad_per_s)| Twist { linear_mm_per_s, angular_rad_per_s });
+        let command = prop_oneof![
+            4 => (axis_push.prop_map(Some), 100..8000_u64),
+            4 => (anything.prop_map(Some), 4..3000_u64),
+            1 => (Just(None), 4..400_u64),
+        ];
+        prop::collection::vec(command, 1..6)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        #[test]
+        fn limits_hold_and_speed_is_gathered_smoothly(start in any_posture(), commands in any_commands()) {
+            prop_assume!(smallest_singular_value(&XArm7::new(), &start) > SMALLEST_SINGULAR_VALUE);
+            // Within the limits by a hair, since degrees do not hold every angle in radians.
+            let start_joints_deg: [f64; 7] = start.map(|angle| (angle * (1.0 - 1e-12)).to_degrees()).into();
+            let settings = ArmSettings { start_joints_deg, ..ArmSettings::default() };
+            let mut arm = SimulatedArm::new(settings, 0).unwrap();
+            let commanded = commands.iter().any(|(twist, _)| twist.is_some());
+            for (twist, duration_ms) in commands {
+                for _ in 0..duration_ms * MS / STEP_NS {
+                    let before = arm.clone();
+                    if let Some(twist) = twist {
+                        arm.command(twist, arm.now_ns).unwrap();
+                    }
+                    arm.step();
+                    prop_assert!(within_limits(&arm.joints_rad), "{}", arm.joints_rad);
+                    let turned = (arm.joints_rad - before.joints_rad).amax();
+                    prop_assert!(turned <= JOINT_SPEED_LIMIT_RAD_PER_S * STEP_S + 1e-9);
+                    let (old, new) = (before.ramp.velocity(), arm.ramp.velocity());
+                    prop_assert!(new.linear_speed_mm_per_s() <= 100.0 + 1e-9);
+                    let gained = new.linear_speed_mm_per_s() - old.linear_speed_mm_per_s();
+                    prop_assert!(gained <= 500.0 * STEP_S + 1e-9);
+                    // The state tells the truth about the motion.
+                    let moved = Vector3::from(arm.state().position_mm) - Vector3::from(before.state().position_mm);
+                    let told = Vector3::from(new.linear_mm_per_s) * STEP_S;
+                    prop_assert!((moved - told).amax() < 2e-3, "{moved} {told}");
+                }
+            }
+            // Silence: at rest after the watchdog's time, the ramp's, and the step in which each ends.
+            arm.tick(arm.now_ns + 150 * MS + 200 * MS + 2 * STEP_NS);
+            let rest = arm.state();
+            prop_assert_eq!(rest.linear_speed_mm_per_s, 0.0);
+            prop_assert_eq!(rest.halted_by_watchdog, commanded);
+            arm.tick(arm.now_ns + 10_000 * MS);
+            prop_assert_eq!(arm.state(), rest);
+        }
+
+        #[test]
+        fn how_often_it_is_ticked_makes_no_difference(ticks in prop::collection::vec(0..700 * MS, 0..20)) {
+            let mut seldom = arm();
+            seldom.command(linear(0.0, 60.0, 30.0), MS).unwrap();
+            let mut often = seldom.clone();
+            let mut ticks = ticks;
+            ticks.sort_unstable();
+            ticks.into_iter().for_each(|now_ns| often.tick(now_ns));
+            often.tick(700 * MS);
+            seldom.tick(700 * MS);
+            prop_assert_eq!(often.state(), seldom.state());
+        }
+    }
+}
