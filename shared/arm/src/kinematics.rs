@@ -26,6 +26,7 @@ pub const UPPER_LIMITS_RAD: JointVector =
     joint_vector([2.0 * PI, 2.0944, 2.0 * PI, 3.927, 2.0 * PI, PI, 2.0 * PI]);
 
 /// The greatest speed of every joint in rad/s.
+#[expect(clippy::approx_constant, reason = "the vendor's limit is 3.14, not π")]
 pub const JOINT_SPEED_LIMIT_RAD_PER_S: f64 = 3.14;
 
 /// A joint vector in a constant.

@@ -61,7 +61,7 @@ pub fn joint_velocities(arm: &XArm7, joints_rad: &JointVector, twist: &Twist) ->
     let Some((singular_values, left, right)) = decompose(arm, joints_rad) else {
         return standstill;
     };
-    let gains = singular_values.map(|value| value / value.max(SMALLEST_SINGULAR_VALUE).powi(2));
+    let gains = singular_values.map(damped_inverse);
     let task = right.tr_mul(&gains.component_mul(&left.tr_mul(&twist.to_vector_m())));
     let pull = offset_from_centre(joints_rad) * (-CENTRING_SHARE * task.norm());
     let centring = pull - right.tr_mul(&(right * pull));
@@ -99,6 +99,11 @@ fn decompose(
     let svd =
         SVD::try_new_unordered(arm.jacobian(joints_rad), true, true, 5.0 * f64::EPSILON, MOST_ITERATIONS)?;
     Some((svd.singular_values, svd.u?, svd.v_t?))
+}
+
+/// σ / (σ² + λ²) with the damping of the module's text: the inverse of a singular value, finite everywhere.
+fn damped_inverse(singular_value: f64) -> f64 {
+    singular_value / singular_value.max(SMALLEST_SINGULAR_VALUE).powi(2)
 }
 
 /// Where each joint is in its range: −1 at the lower limit, 0 in the middle, 1 at the upper limit.
@@ -153,15 +158,24 @@ mod tests {
     }
 
     #[test]
-    fn the_damped_inverse_stays_bounded_in_a_singularity() {
+    fn damping_grows_towards_a_singularity_and_is_absent_far_from_it() {
+        let inverse_at =
+            |share: f64| damped_inverse(share * SMALLEST_SINGULAR_VALUE) * SMALLEST_SINGULAR_VALUE;
+        for (share, expected) in [(0.0, 0.0), (0.25, 0.25), (0.5, 0.5), (1.0, 1.0), (2.0, 0.5), (4.0, 0.25)] {
+            assert!((inverse_at(share) - expected).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn with_all_joints_zero_the_arm_is_singular_and_answers_calmly() {
         let arm = XArm7::new();
         let zero = JointVector::zeros();
         assert!(smallest_singular_value(&arm, &zero) < 1e-12);
         let twist = Twist { linear_mm_per_s: [30.0, 20.0, 10.0], angular_rad_per_s: [0.1, 0.2, 0.3] };
-        let (singular_values, left, right) = decompose(&arm, &zero).unwrap();
-        let gains = singular_values.map(|value| value / value.max(SMALLEST_SINGULAR_VALUE).powi(2));
-        let velocities = right.tr_mul(&gains.component_mul(&left.tr_mul(&twist.to_vector_m())));
-        assert!(velocities.norm() <= twist.to_vector_m().norm() / SMALLEST_SINGULAR_VALUE);
+        let solution = joint_velocities(&arm, &zero, &twist);
+        // The task and at most half as much centring.
+        let greatest = 1.5 * twist.to_vector_m().norm() / SMALLEST_SINGULAR_VALUE;
+        assert!(solution.rad_per_s.norm() <= greatest);
     }
 
     #[test]
