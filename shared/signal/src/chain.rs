@@ -87,14 +87,15 @@ pub struct Push {
 pub struct SignalChain {
     channels: usize,
     filter: EmgFilter,
-    envelopes: Vec<Envelope>,
+    /// Of each channel.
+    trackers: Vec<Envelope>,
     activity: ActivityDetector,
     windower: Windower,
     window_samples: usize,
     /// Number of the next sample, lost ones included.
     next_sample: u64,
-    /// The newest envelope of each channel.
-    envelope: Vec<f32>,
+    /// Of each sample being pushed, every channel's envelope: `[samples × channels]`.
+    envelopes: Vec<f32>,
     /// Of each sample being pushed, how many channels' were replaced.
     replaced: Vec<u16>,
 }
@@ -112,12 +113,12 @@ impl SignalChain {
         Ok(SignalChain {
             channels,
             filter: EmgFilter::new(&settings.filter, channels, sample_rate_hz)?,
-            envelopes: vec![Envelope::new(settings.envelope_ms, sample_rate_hz)?; channels],
+            trackers: vec![Envelope::new(settings.envelope_ms, sample_rate_hz)?; channels],
             activity: ActivityDetector::new(&settings.activity, channels, sample_rate_hz)?,
             windower: Windower::new(&settings.windows, channels)?,
             window_samples: settings.windows.window_samples,
             next_sample: 0,
-            envelope: vec![0.0; channels],
+            envelopes: vec![0.0; channels * settings.windows.window_samples],
             replaced: vec![0; settings.windows.window_samples],
         })
     }
@@ -143,6 +144,7 @@ impl SignalChain {
         assert!(from < samples, "nothing to push: the block has {samples} samples, pushed from {from}");
         let consumed = self.windower.room().min(samples - from);
 
+        let envelopes = &mut self.envelopes[..consumed * self.channels];
         let replaced = &mut self.replaced[..consumed];
         replaced.fill(0);
         let mut replaced_samples = 0;
@@ -157,14 +159,13 @@ impl SignalChain {
                     *count += u16::from(!is_usable(sample));
                 }
             }
-        }
-        for sample in 0..consumed {
-            for (channel, (tracker, envelope)) in
-                self.envelopes.iter_mut().zip(&mut self.envelope).enumerate()
-            {
-                *envelope = tracker.push(self.windower.channel_mut(channel, consumed)[sample]);
+            let tracker = &mut self.trackers[channel];
+            for (envelopes, &sample) in envelopes.chunks_exact_mut(self.channels).zip(&*signal) {
+                envelopes[channel] = tracker.push(sample);
             }
-            self.activity.push(&self.envelope);
+        }
+        for envelope in envelopes.chunks_exact(self.channels) {
+            self.activity.push(envelope);
         }
         let window_ends = self.windower.advance(&self.replaced[..consumed]);
         self.next_sample += consumed as u64;

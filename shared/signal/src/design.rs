@@ -189,3 +189,24 @@ fn take_two_reals(reals: &mut Vec<f64>, at: usize) -> (Complex64, Complex64) {
 fn position_of_least<T>(items: &[T], key: impl Fn(&T) -> f64) -> Option<usize> {
     (0..items.len()).min_by(|&a, &b| key(&items[a]).total_cmp(&key(&items[b])))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_cannot_be_designed_is_refused_with_what_to_do() {
+        let remedy = |error: DesignError| error.to_string();
+        assert!(remedy(notch(60.0, 30.0, 0.0).expect_err("no rate")).starts_with("sample_rate_hz = 0"));
+        assert!(
+            remedy(notch(60.0, 30.0, 100.0).expect_err("aliased")).starts_with("notch_hz = 60 at 100 Hz")
+        );
+        assert!(remedy(notch(60.0, 0.0, 2000.0).expect_err("no quality")).starts_with("notch_quality = 0"));
+        for (low_hz, high_hz) in [(0.0, 500.0), (500.0, 5.0), (5.0, 1000.0), (f64::NAN, 500.0)] {
+            let error = butterworth_band_pass(6, low_hz, high_hz, 2000.0).expect_err("no band");
+            assert!(remedy(error).starts_with("band_pass_hz = ["));
+        }
+        assert_eq!(butterworth_high_pass(13, 5.0, 2000.0), Err(DesignError::BandOrder(13)));
+        assert_eq!(butterworth_band_pass(0, 5.0, 500.0, 2000.0), Err(DesignError::BandOrder(0)));
+    }
+}

@@ -61,3 +61,32 @@ impl Envelope {
         self.head = 0.0;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_large_artefact_leaves_no_trace_after_its_length() {
+        // With a sum that adds and subtracts, 1e12² would swallow the digits of all that is in reach.
+        let mut envelope = Envelope::new(25.0, 2000.0).expect("50 samples");
+        for _ in 0..77 {
+            envelope.push(0.5);
+        }
+        assert!(envelope.push(1e12) > 1e11);
+        for _ in 0..49 {
+            assert!(envelope.push(0.5) > 1e11);
+        }
+        for _ in 0..200 {
+            assert_eq!(envelope.push(0.5), 0.5);
+        }
+    }
+
+    #[test]
+    fn one_sample_is_the_absolute_value_and_less_is_refused() {
+        let mut envelope = Envelope::new(1.0, 1000.0).expect("one sample");
+        assert_eq!([-3.0, 4.0].map(|sample| envelope.push(sample)), [3.0, 4.0]);
+        let error = Envelope::new(0.1, 1000.0).expect_err("no sample");
+        assert_eq!(error.to_string(), "envelope_ms = 0.1: give a duration of at least one sample, e.g. 25");
+    }
+}

@@ -247,3 +247,70 @@ fn run_section(section: &Section, delay: &mut [f64; 2], signal: &mut [f64]) {
     }
     *delay = [delay_1, delay_2];
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn filter() -> EmgFilter {
+        EmgFilter::new(&FilterSettings::default(), 1, 2000.0).expect("the defaults fit")
+    }
+
+    #[test]
+    fn settings_survive_toml_and_json_the_notch_off_too() {
+        for notch_hz in [Some(50.0), None] {
+            let settings = FilterSettings { notch_hz, ..FilterSettings::default() };
+            let text = toml::to_string(&settings).expect("writes");
+            assert_eq!(toml::from_str::<FilterSettings>(&text), Ok(settings.clone()), "{text}");
+            let text = serde_json::to_string(&settings).expect("writes");
+            assert_eq!(serde_json::from_str::<FilterSettings>(&text).expect("reads"), settings);
+        }
+        assert_eq!(toml::from_str::<FilterSettings>(""), Ok(FilterSettings::default()));
+        assert_eq!(toml::from_str::<FilterSettings>("notch_hz = 60"), Ok(FilterSettings::default()));
+        let error = toml::from_str::<FilterSettings>("notch_hz = \"on\"").expect_err("neither");
+        assert!(error.message().contains("the mains frequency in Hz, or \"off\""), "{error}");
+        assert!(toml::from_str::<FilterSettings>("notch = 60").is_err(), "unknown keys are errors");
+    }
+
+    #[test]
+    fn the_band_is_a_high_pass_only_where_its_upper_edge_is_out_of_reach() {
+        let sections = |rate_hz| FilterSettings::default().sections(rate_hz).expect("fits").len();
+        assert_eq!(sections(2000.0), 1 + 6);
+        assert_eq!(sections(1001.0), 1 + 6);
+        assert_eq!(sections(1000.0), 1 + 3);
+        let swapped = FilterSettings { band_pass_hz: [700.0, 600.0], ..FilterSettings::default() };
+        assert!(matches!(swapped.sections(1000.0), Err(DesignError::BandEdges { .. })));
+    }
+
+    #[test]
+    fn an_offset_does_not_ring_even_after_a_bad_start() {
+        let mut samples = [f32::NAN, f32::INFINITY, 30_000.0, 30_000.0, f32::NAN, 30_000.0];
+        assert_eq!(filter().process(0, &mut samples), 3);
+        assert!(samples.iter().all(|sample| sample.abs() < 1e-3), "{samples:?}");
+    }
+
+    #[test]
+    fn a_bad_sample_counts_as_the_last_good_one() {
+        let mut with_bad = [3.0, 7.0, f32::NAN, f32::NEG_INFINITY, 2e12, -5.0];
+        let mut without = [3.0, 7.0, 7.0, 7.0, 7.0, -5.0];
+        assert_eq!(filter().process(0, &mut with_bad), 3);
+        assert_eq!(filter().process(0, &mut without), 0);
+        assert_eq!(with_bad, without);
+    }
+
+    #[test]
+    fn decayed_delays_become_zero_and_never_subnormal() {
+        // Poles that decay to where f64 is subnormal in 15 s and not in minutes, as the defaults' do.
+        let settings =
+            FilterSettings { notch_quality: 3.0, band_pass_hz: [50.0, 500.0], ..FilterSettings::default() };
+        let mut filter = EmgFilter::new(&settings, 1, 2000.0).expect("a filter");
+        filter.process(0, &mut [0.0, 1000.0]);
+        for _ in 0..3000 {
+            filter.process(0, &mut [0.0; 10]);
+            for &delay in filter.channels[0].delays.iter().flatten() {
+                assert!(delay == 0.0 || delay.is_normal(), "{delay:e}");
+            }
+        }
+        assert!(filter.channels[0].delays.iter().flatten().all(|&delay| delay == 0.0));
+    }
+}

@@ -84,12 +84,8 @@ pub fn find_onset(
 
     let mut rest = most_active[..baseline_samples.min(samples)].to_vec();
     let threshold = Baseline::of(&mut rest).threshold(settings.threshold_sigma as f32);
-    let mut run = 0;
-    for sample in search_start..search_end.min(samples) {
-        run = if most_active[sample] > threshold { run + 1 } else { 0 };
-        if run == duration {
-            return Ok(Some((sample + 1 - duration).saturating_sub(margin)));
-        }
-    }
-    Ok(None)
+    let above: Vec<bool> = most_active.iter().map(|&value| value > threshold).collect();
+    let searched = above.get(search_start..search_end.min(samples)).unwrap_or_default();
+    let onset = searched.windows(duration).position(|run| run.iter().all(|&above| above));
+    Ok(onset.map(|onset| (search_start + onset).saturating_sub(margin)))
 }

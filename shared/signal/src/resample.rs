@@ -133,3 +133,25 @@ fn bessel_i0(x: f64) -> f64 {
     }
     sum
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tone_comes_out_at_the_new_rate_after_the_delay() {
+        let tone = |time: f64| (2.0 * PI * 0.05 * time).sin();
+        let input: Vec<f32> = (0..400).map(|n| tone(f64::from(n)) as f32).collect();
+        for (up, down) in [(2, 1), (1, 1), (3, 4)] {
+            let mut resampler = Resampler::new(up, down).expect("a resampler");
+            let mut output = Vec::new();
+            resampler.process(&input, &mut output);
+            let settled = (2.0 * resampler.delay_samples()).ceil() as usize;
+            for (n, &sample) in output.iter().enumerate().skip(settled) {
+                let time = (n as f64 - resampler.delay_samples()) * down as f64 / up as f64;
+                assert!((f64::from(sample) - tone(time)).abs() < 2e-2, "{up}/{down}, sample {n}");
+            }
+        }
+        assert_eq!(Resampler::new(0, 1).err(), Some(DesignError::Ratio { up: 0, down: 1 }));
+    }
+}

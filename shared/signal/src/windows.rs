@@ -128,3 +128,31 @@ impl Windower {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_of_a_count_begin_an_increment_apart_also_with_distance_between_them() {
+        for (window, increment) in [(6, 2), (6, 6), (4, 7)] {
+            let settings = WindowSettings { window_samples: window, increment_samples: increment };
+            let mut windower = Windower::new(&settings, 2).expect("a windower");
+            let (mut sample, mut expected_start) = (0, 0);
+            let mut out = vec![0.0; 2 * window];
+            while sample < 100 {
+                windower.channel_mut(0, 1)[0] = sample as f32;
+                windower.channel_mut(1, 1)[0] = -(sample as f32);
+                sample += 1;
+                if windower.advance(&[0]) {
+                    windower.write_window(&mut out);
+                    let first: Vec<f32> = (expected_start..sample).map(|value| value as f32).collect();
+                    assert_eq!(out[..window], first);
+                    assert!(out[window..].iter().zip(&first).all(|(second, first)| *second == -first));
+                    expected_start += increment;
+                }
+            }
+            assert_eq!(expected_start, (100 - window) / increment * increment + increment);
+        }
+    }
+}
