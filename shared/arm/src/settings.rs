@@ -12,7 +12,8 @@ use crate::velocity::{SMALLEST_SINGULAR_VALUE, smallest_singular_value};
 pub struct ArmSettings {
     /// Greatest linear speed of the flange in mm/s. Default 100.
     pub linear_speed_limit_mm_per_s: f64,
-    /// Greatest linear acceleration of the commanded motion in mm/s². Default 500.
+    /// Greatest linear acceleration of the commanded motion in mm/s². Default 500. Only the slowing before a joint
+    /// limit or a singularity may be quicker, since the limit comes first.
     pub linear_acceleration_mm_per_s2: f64,
     /// The arm slows to rest when no command has come for this long, in ms. Default 150.
     pub watchdog_ms: u64,
