@@ -1,0 +1,101 @@
+//! What can be wrong with a recording.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use tendon_signal::DesignError;
+
+use crate::table::TableError;
+
+/// A recording that cannot be read. Each message says where and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// A file or folder that is not there or not readable.
+    #[error("cannot open {}: {reason}; check the path and its permissions", .path.display())]
+    Open {
+        /// What was to be opened.
+        path: PathBuf,
+        /// What the system says.
+        reason: io::Error,
+    },
+    /// A path whose name tells no known layout.
+    #[error(
+        "{} is no recording that can be read: give a table of samples (.csv, .tsv or .txt), a file \
+         3dc_EMG_gesture_R_G.txt, or the EMG folder that holds such files",
+        .path.display()
+    )]
+    UnknownLayout {
+        /// The path.
+        path: PathBuf,
+    },
+    /// A repetition that the folder does not hold.
+    #[error("{} has no repetition {repetition}: choose among {available:?}", .folder.display())]
+    NoSuchRepetition {
+        /// The EMG folder.
+        folder: PathBuf,
+        /// The repetition asked for.
+        repetition: u32,
+        /// The repetitions that are there.
+        available: Vec<u32>,
+    },
+    /// A repetition was asked for where there are none.
+    #[error("{} is a single file: leave out repetition, which chooses within a 3DC EMG folder", .file.display())]
+    RepetitionOfFile {
+        /// The file.
+        file: PathBuf,
+    },
+    /// A plain table whose sampling rate was not given.
+    #[error("{} does not say its sampling rate: give sample_rate_hz, e.g. 2000", .file.display())]
+    SampleRateMissing {
+        /// The file.
+        file: PathBuf,
+    },
+    /// A sampling rate other than the one the layout has.
+    #[error(
+        "{} was sampled at {actual_hz} Hz, but sample_rate_hz = {given_hz}: leave sample_rate_hz out",
+        .path.display()
+    )]
+    SampleRateDiffers {
+        /// The recording.
+        path: PathBuf,
+        /// The rate of the layout.
+        actual_hz: f64,
+        /// The rate in the settings.
+        given_hz: f64,
+    },
+    /// Rates between which no resampler is made.
+    #[error(
+        "cannot resample from {from_hz} Hz to {to_hz} Hz: both must be whole numbers above 0 whose ratio, in \
+         lowest terms, has no number above 100000; or run the session at {from_hz} Hz"
+    )]
+    Resampling {
+        /// Rate of the recording.
+        from_hz: f64,
+        /// Rate of the session.
+        to_hz: f64,
+    },
+    /// A block of no samples.
+    #[error("block_samples = 0: give a number of samples, e.g. 10")]
+    NoBlock,
+    /// A place in a file that cannot be read.
+    #[error("{}, {error}", .file.display())]
+    Table {
+        /// The file.
+        file: PathBuf,
+        /// The place and what is wrong there.
+        error: TableError,
+    },
+    /// Settings from which no filter or window can be made.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+}
+
+impl RecordingError {
+    pub(crate) fn table(file: &Path) -> impl FnOnce(TableError) -> RecordingError + '_ {
+        |error| RecordingError::Table { file: file.to_owned(), error }
+    }
+
+    pub(crate) fn open(path: &Path) -> impl FnOnce(io::Error) -> RecordingError + '_ {
+        |reason| RecordingError::Open { path: path.to_owned(), reason }
+    }
+}

@@ -1,0 +1,28 @@
+//! EMG recordings: read without being loaded, replayed at a session's rate, cut into windows to train on.
+//!
+//! ```text
+//! file ─▶ memory map ─▶ table (line by line) ─┐
+//! file ─▶ memory map ─▶ table                ─┴▶ source: frames + cue ─▶ replay: blocks at the session's rate
+//!                                                   │                      └─▶ dataset: windows.npy, labels.npy, …
+//!                                                   └─▶ check: the whole recording read once, refused or summed up
+//! ```
+//! A recording is one text file with a line a sample and a column a channel, or several that follow on
+//! without a gap, each with the *cue* its person was given: the layouts are in [`RecordingSource::open`].
+//!
+//! Nothing is allocated a sample once a recording is open, and memory use does not grow with its length.
+#![deny(unsafe_code)]
+
+pub mod dataset;
+mod error;
+mod mapped;
+mod npy;
+mod replay;
+mod source;
+pub mod table;
+mod three_dc;
+
+pub use error::RecordingError;
+pub use replay::{ReplayBlock, ReplayStream};
+pub use source::{CueSpan, Frame, Notice, RecordingSettings, RecordingSource, Segment, Summary, check};
+pub use table::Channel;
+pub use three_dc::{SAMPLE_RATE_HZ as THREE_DC_SAMPLE_RATE_HZ, repetitions as three_dc_repetitions};

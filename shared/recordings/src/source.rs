@@ -1,0 +1,302 @@
+//! A recording as a stream of frames: one sample of every chosen channel, and the cue in force.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use tendon_gesture::Gesture;
+
+use crate::error::RecordingError;
+use crate::mapped::MappedFile;
+use crate::table::{Channel, Table};
+use crate::three_dc;
+
+/// How a recording is to be read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecordingSettings {
+    /// Which channels, in the order they shall have.
+    pub channels: Vec<Channel>,
+    /// Sampling rate of a plain table, in Hz. Not needed where the layout tells it, as 3DC does.
+    #[serde(default)]
+    pub sample_rate_hz: Option<f64>,
+    /// Of a 3DC folder, only this repetition; all in order if not given.
+    #[serde(default)]
+    pub repetition: Option<u32>,
+}
+
+/// A file of a recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Segment {
+    /// The file.
+    pub file: PathBuf,
+    /// Its repetition and gesture number, of a 3DC recording.
+    pub three_dc: Option<(u32, u32)>,
+    /// What the person was asked to do; `None` if unknown or none of ours.
+    pub cue: Option<Gesture>,
+}
+
+/// Something about a recording that does not keep it from being read, but that its user should know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Notice {
+    /// A repetition lacks a file: what is before and after it is not continuous.
+    MissingFile {
+        /// The file that is not there.
+        file: PathBuf,
+    },
+    /// A folder lacks a repetition between others.
+    MissingRepetition {
+        /// The folder.
+        folder: PathBuf,
+        /// The repetition that is not there.
+        repetition: u32,
+    },
+}
+
+impl fmt::Display for Notice {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Notice::MissingFile { file } => {
+                write!(formatter, "{} is missing: the recording jumps there", file.display())
+            }
+            Notice::MissingRepetition { folder, repetition } => {
+                write!(formatter, "{} has no repetition {repetition}", folder.display())
+            }
+        }
+    }
+}
+
+/// What [`RecordingSource::next_frame`] says beside the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame {
+    /// Index of the file the frame is from, into [`RecordingSource::segments`].
+    pub segment: usize,
+    /// The cue of that file.
+    pub cue: Option<Gesture>,
+}
+
+/// An open recording. Its files are mapped one after the other as they are reached.
+#[derive(Debug)]
+pub struct RecordingSource {
+    segments: Vec<Segment>,
+    notices: Vec<Notice>,
+    sample_rate_hz: f64,
+    channels: usize,
+    table: Table,
+    file: MappedFile,
+    /// The segment that `file` is.
+    segment: usize,
+}
+
+impl RecordingSource {
+    /// Opens the recording at `path`, whose name tells the layout:
+    ///
+    /// | path | recording |
+    /// |---|---|
+    /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
+    /// | one such file | that gesture of that repetition |
+    /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at `settings.sample_rate_hz` |
+    ///
+    /// # Errors
+    /// When the path tells no layout, the settings do not fit, or the first file cannot be opened. What is
+    /// wrong further on shows when it is read: [`check`] reads all of it.
+    pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
+        let mut notices = Vec::new();
+        let segments = segments(path, settings, &mut notices)?;
+        let known_hz = segments[0].three_dc.map(|_| three_dc::SAMPLE_RATE_HZ);
+        let sample_rate_hz = sample_rate(path, known_hz, settings.sample_rate_hz)?;
+        let first = &segments[0].file;
+        let file = MappedFile::open(first).map_err(RecordingError::open(first))?;
+        let table = Table::open(file.bytes(), &settings.channels).map_err(RecordingError::table(first))?;
+        let channels = settings.channels.len();
+        Ok(RecordingSource { segments, notices, sample_rate_hz, channels, table, file, segment: 0 })
+    }
+
+    /// Sampling rate in Hz.
+    pub fn sample_rate_hz(&self) -> f64 {
+        self.sample_rate_hz
+    }
+
+    /// Chosen channels: the length of a frame.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// The files of the recording in order; at least one.
+    pub fn segments(&self) -> &[Segment] {
+        &self.segments
+    }
+
+    /// What its user should know, found when it was opened.
+    pub fn notices(&self) -> &[Notice] {
+        &self.notices
+    }
+
+    /// Reads the next sample of each chosen channel into `frame`; `None` at the end. Nothing is allocated
+    /// but for an error.
+    ///
+    /// # Errors
+    /// When the next line or the next file cannot be read, with its place. Reading on gives the same error.
+    ///
+    /// # Panics
+    /// When `frame` is not [`channels`](RecordingSource::channels) long.
+    #[inline]
+    pub fn next_frame(&mut self, frame: &mut [f32]) -> Result<Option<Frame>, RecordingError> {
+        loop {
+            match self.table.next_row(self.file.bytes(), frame) {
+                Ok(true) => {
+                    self.file.release_before(self.table.position());
+                    let cue = self.segments[self.segment].cue;
+                    return Ok(Some(Frame { segment: self.segment, cue }));
+                }
+                Ok(false) if self.segment + 1 == self.segments.len() => return Ok(None),
+                Ok(false) => self.open_next_segment()?,
+                Err(error) => return Err(RecordingError::table(&self.segments[self.segment].file)(error)),
+            }
+        }
+    }
+
+    fn open_next_segment(&mut self) -> Result<(), RecordingError> {
+        let path = &self.segments[self.segment + 1].file;
+        let file = MappedFile::open(path).map_err(RecordingError::open(path))?;
+        self.table.continue_with(file.bytes()).map_err(RecordingError::table(path))?;
+        self.file = file;
+        self.segment += 1;
+        Ok(())
+    }
+}
+
+/// The files at `path`, at least one.
+fn segments(
+    path: &Path,
+    settings: &RecordingSettings,
+    notices: &mut Vec<Notice>,
+) -> Result<Vec<Segment>, RecordingError> {
+    let metadata = path.metadata().map_err(RecordingError::open(path))?;
+    if metadata.is_dir() {
+        return folder_segments(path, settings.repetition, notices);
+    }
+    if !metadata.is_file() {
+        return Err(RecordingError::UnknownLayout { path: path.to_owned() });
+    }
+    if settings.repetition.is_some() {
+        return Err(RecordingError::RepetitionOfFile { file: path.to_owned() });
+    }
+    let three_dc = three_dc::parse_file_name(path);
+    let is_table = path.extension().is_some_and(|extension| {
+        ["csv", "tsv", "txt"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+    });
+    if !is_table {
+        return Err(RecordingError::UnknownLayout { path: path.to_owned() });
+    }
+    let cue = three_dc.and_then(|(_, number)| three_dc::gesture(number));
+    Ok(vec![Segment { file: path.to_owned(), three_dc, cue }])
+}
+
+fn folder_segments(
+    folder: &Path,
+    wanted: Option<u32>,
+    notices: &mut Vec<Notice>,
+) -> Result<Vec<Segment>, RecordingError> {
+    let mut repetitions = three_dc::list(folder)?;
+    let Some(&last) = repetitions.keys().last() else {
+        return Err(RecordingError::UnknownLayout { path: folder.to_owned() });
+    };
+    if let Some(repetition) = wanted {
+        if !repetitions.contains_key(&repetition) {
+            let available = repetitions.into_keys().collect();
+            return Err(RecordingError::NoSuchRepetition {
+                folder: folder.to_owned(),
+                repetition,
+                available,
+            });
+        }
+        repetitions.retain(|&number, _| number == repetition);
+    } else {
+        let missing = (0..last).filter(|repetition| !repetitions.contains_key(repetition));
+        notices.extend(
+            missing.map(|repetition| Notice::MissingRepetition { folder: folder.to_owned(), repetition }),
+        );
+    }
+    let mut segments = Vec::new();
+    for (repetition, files) in repetitions {
+        for number in (0..three_dc::GESTURES).filter(|number| !files.contains_key(number)) {
+            notices.push(Notice::MissingFile { file: folder.join(three_dc::file_name(repetition, number)) });
+        }
+        segments.extend(files.into_iter().map(|(number, file)| Segment {
+            file,
+            three_dc: Some((repetition, number)),
+            cue: three_dc::gesture(number),
+        }));
+    }
+    Ok(segments)
+}
+
+fn sample_rate(path: &Path, known_hz: Option<f64>, given_hz: Option<f64>) -> Result<f64, RecordingError> {
+    match (known_hz, given_hz) {
+        (Some(actual_hz), Some(given_hz)) if actual_hz != given_hz => {
+            Err(RecordingError::SampleRateDiffers { path: path.to_owned(), actual_hz, given_hz })
+        }
+        (Some(hz), _) => Ok(hz),
+        (None, Some(hz)) if hz.is_finite() && hz > 0.0 => Ok(hz),
+        (None, Some(hz)) => Err(tendon_signal::DesignError::SampleRate(hz).into()),
+        (None, None) => Err(RecordingError::SampleRateMissing { file: path.to_owned() }),
+    }
+}
+
+/// What a whole recording holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// Samples of each channel.
+    pub samples: u64,
+    /// Sampling rate in Hz.
+    pub sample_rate_hz: f64,
+    /// Length in seconds.
+    pub duration_s: f64,
+    /// Columns of the first file, chosen or not.
+    pub file_channels: usize,
+    /// The files in order, with their cues.
+    pub cues: Vec<CueSpan>,
+    /// What its user should know.
+    pub notices: Vec<Notice>,
+}
+
+/// The part of a recording that one file, and so one cue, holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CueSpan {
+    /// The file and its cue.
+    pub segment: Segment,
+    /// Index of its first sample.
+    pub first_sample: u64,
+    /// Its samples.
+    pub samples: u64,
+}
+
+/// Reads the whole recording once, so that a bad one is refused before anything starts.
+///
+/// # Errors
+/// The first thing that is wrong with it.
+pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, RecordingError> {
+    let mut source = RecordingSource::open(path, settings)?;
+    let mut frame = vec![0.0; source.channels()];
+    let mut counts = vec![0_u64; source.segments().len()];
+    while let Some(Frame { segment, .. }) = source.next_frame(&mut frame)? {
+        counts[segment] += 1;
+    }
+    let mut samples = 0;
+    let cues = source.segments.iter().zip(counts).map(|(segment, count)| {
+        let span = CueSpan { segment: segment.clone(), first_sample: samples, samples: count };
+        samples += count;
+        span
+    });
+    let cues = cues.collect();
+    let sample_rate_hz = source.sample_rate_hz;
+    Ok(Summary {
+        samples,
+        sample_rate_hz,
+        duration_s: samples as f64 / sample_rate_hz,
+        file_channels: source.table.columns(),
+        cues,
+        notices: source.notices,
+    })
+}

@@ -1,0 +1,92 @@
+//! The layout of the 3DC data set (Côté-Allard et al. 2019, "Deep learning for electromyographic hand gesture
+//! signal classification using transfer learning").
+//!
+//! ```text
+//! ParticipantP/{train,test}/EMG/3dc_EMG_gesture_R_G.txt     R: repetition 0…3, G: gesture 0…10
+//! ```
+//! 1000 Hz, ten channels, ADC counts. The files of a repetition, in the order of G, are one continuous
+//! recording of 55 s; the cue for each gesture was given at its file's start.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use tendon_gesture::Gesture;
+
+use crate::error::RecordingError;
+
+/// Sampling rate of all 3DC recordings, in Hz.
+pub const SAMPLE_RATE_HZ: f64 = 1000.0;
+
+/// Gestures of a repetition, numbered from 0.
+pub(crate) const GESTURES: u32 = 11;
+
+/// Repetition and gesture number in a file's name, if it is a 3DC recording's.
+pub(crate) fn parse_file_name(path: &Path) -> Option<(u32, u32)> {
+    let numbers = path.file_name()?.to_str()?.strip_prefix("3dc_EMG_gesture_")?.strip_suffix(".txt")?;
+    let (repetition, gesture) = numbers.split_once('_')?;
+    Some((repetition.parse().ok()?, gesture.parse().ok().filter(|&gesture| gesture < GESTURES)?))
+}
+
+/// The name of the file that holds a gesture of a repetition.
+pub(crate) fn file_name(repetition: u32, gesture: u32) -> String {
+    format!("3dc_EMG_gesture_{repetition}_{gesture}.txt")
+}
+
+/// The gesture a 3DC number stands for; `None` for those that are none of ours (supination, pronation, open
+/// hand, chuck grip, pinch grip).
+pub(crate) fn gesture(number: u32) -> Option<Gesture> {
+    match number {
+        0 => Some(Gesture::Rest),
+        1 => Some(Gesture::Radial),
+        2 => Some(Gesture::Flexion),
+        3 => Some(Gesture::Ulnar),
+        4 => Some(Gesture::Extension),
+        7 => Some(Gesture::Grip),
+        _ => None,
+    }
+}
+
+/// The recordings in an EMG folder: by repetition, then by gesture number. Empty if it holds none.
+pub(crate) fn list(folder: &Path) -> Result<BTreeMap<u32, BTreeMap<u32, PathBuf>>, RecordingError> {
+    let mut repetitions: BTreeMap<u32, BTreeMap<u32, PathBuf>> = BTreeMap::new();
+    for entry in fs::read_dir(folder).map_err(RecordingError::open(folder))? {
+        let path = entry.map_err(RecordingError::open(folder))?.path();
+        if let Some((repetition, gesture)) = parse_file_name(&path) {
+            repetitions.entry(repetition).or_default().insert(gesture, path);
+        }
+    }
+    Ok(repetitions)
+}
+
+/// The numbers of the repetitions that a 3DC `EMG` folder holds, in order; empty if it is no such folder.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn repetitions(folder: &Path) -> Result<Vec<u32>, RecordingError> {
+    Ok(list(folder)?.into_keys().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_names_of_the_data_set_are_recognised() {
+        let parse = |name: &str| parse_file_name(Path::new(name));
+        assert_eq!(parse("a/EMG/3dc_EMG_gesture_3_10.txt"), Some((3, 10)));
+        assert_eq!(parse(&file_name(0, 7)), Some((0, 7)));
+        for name in
+            ["3dc_EMG_gesture_3_11.txt", "3dc_EMG_gesture_3.txt", "3dc_EMG_gesture_a_1.txt", "EMG", ".."]
+        {
+            assert_eq!(parse(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn each_of_our_gestures_has_exactly_one_number() {
+        let mut found: Vec<Gesture> = (0..GESTURES).filter_map(gesture).collect();
+        found.sort();
+        assert_eq!(found, Gesture::ALL);
+    }
+}
