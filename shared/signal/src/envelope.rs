@@ -87,6 +87,9 @@ mod tests {
         let mut envelope = Envelope::new(1.0, 1000.0).expect("one sample");
         assert_eq!([-3.0, 4.0].map(|sample| envelope.push(sample)), [3.0, 4.0]);
         let error = Envelope::new(0.1, 1000.0).expect_err("no sample");
-        assert_eq!(error.to_string(), "envelope_ms = 0.1: give a duration of at least one sample, e.g. 25");
+        assert_eq!(
+            error.to_string(),
+            "envelope_ms = 0.1: give a duration from one sample to an hour, e.g. 25"
+        );
     }
 }

@@ -39,8 +39,8 @@ pub enum DesignError {
     /// The order of the band-pass is zero or needlessly high.
     #[error("band_pass_order = {0}: give an order from 1 to 12, e.g. 6")]
     BandOrder(usize),
-    /// A duration is not positive, or shorter than a sample.
-    #[error("{setting} = {value}: give a duration of at least one sample, e.g. {example}")]
+    /// A duration is shorter than a sample, or longer than an hour.
+    #[error("{setting} = {value}: give a duration from one sample to an hour, e.g. {example}")]
     Duration {
         /// The key of the setting.
         setting: &'static str,

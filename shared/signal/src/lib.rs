@@ -8,7 +8,8 @@
 //! recording ─▶ filter ─▶ onset                                       where the movement starts
 //! ```
 //! Everything that depends on time takes the sampling rate. Samples are `f32` in the source's unit (mV or
-//! ADC counts), blocks and windows are channel-major. Nothing allocates once constructed.
+//! ADC counts), blocks and windows are channel-major. Nothing but
+//! [`find_onset`], which is for offline use, allocates once constructed.
 #![forbid(unsafe_code)]
 
 mod activity;

@@ -132,3 +132,17 @@ fn activity_goes_from_calibration_to_rest_to_move_and_back_and_a_gap_ends_a_move
     assert_eq!(push(&mut chain, 300, 30.0), Some(Activity::Move));
     assert_eq!(push(&mut chain, 500, 1.0), Some(Activity::Rest));
 }
+
+#[test]
+fn a_channel_that_was_stuck_during_calibration_is_never_active() {
+    for stuck_at in [0.0, 32_767.0, -8_388_608.0, 2.5] {
+        let mut chain = SignalChain::new(&SignalSettings::default(), 1, 2000.0).expect("a chain");
+        for _ in 0..10_000 {
+            chain.push(&[stuck_at], 0);
+        }
+        for sample in 0..4000 {
+            let push = chain.push(&[stuck_at + [0.0, 500.0, 200.0][sample % 3]], 0);
+            assert_eq!(push.activity, Activity::Rest, "stuck at {stuck_at}");
+        }
+    }
+}
