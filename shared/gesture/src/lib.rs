@@ -1,11 +1,15 @@
 //! Gestures, and what turns a stream of class probabilities into intentions.
 //!
 //! ```text
-//! probabilities ─▶ strategy ─▶ gesture ─▶ vote of three ─┬─▶ velocity map ─▶ twist
-//!     activity ──▶                                       └─▶ gripper ──────▶ open | close
+//! probabilities ─▶ strategy ─▶ gesture ─▶ vote of three ─┬─▶ velocity map ─▶ velocity
+//!     activity ──▶                                       └─▶ gripper ──────▶ open | closed
 //! ```
 #![forbid(unsafe_code)]
 
+mod decide;
 mod label;
 
+pub use decide::{
+    Decider, Decision, DecisionSettings, Evidence, GripperTarget, InvalidDecisionSetting, Strategy,
+};
 pub use label::{Gesture, UnknownGesture};

@@ -1,0 +1,529 @@
+//! The settings of a session: `tendon.toml`.
+//!
+//! Every key has a default (the paper's, where it names one), so an empty file is a valid one; an unknown
+//! key is an error that names the nearest known one. Paths are relative to the file's folder.
+#![forbid(unsafe_code)]
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use tendon_arm::ArmSettings;
+use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, SimulationSettings};
+use tendon_gesture::{DecisionSettings, Strategy};
+use tendon_recordings::{Channel, RecordingSettings};
+use tendon_signal::SignalSettings;
+use tendon_transport::{Delivery, SessionName};
+
+/// All settings of a session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The session's name; two sessions on one machine need two names.
+    pub session: SessionName,
+    /// Where samples come from.
+    pub acquisition: AcquisitionSettings,
+    /// Filters, activity detection and windows.
+    pub dsp: SignalSettings,
+    /// The classifier.
+    pub inference: InferenceSettings,
+    /// Strategy, vote, gripper and speed.
+    pub decision: DecisionSettings,
+    /// The arm.
+    pub robot: RobotSettings,
+    /// What is asked of the kernel's scheduler.
+    pub scheduling: SchedulingSettings,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            session: "tendon".parse().expect("the name is made of letters only"),
+            acquisition: AcquisitionSettings::default(),
+            dsp: SignalSettings::default(),
+            inference: InferenceSettings::default(),
+            decision: DecisionSettings::default(),
+            robot: RobotSettings::default(),
+            scheduling: SchedulingSettings::default(),
+        }
+    }
+}
+
+/// Where samples come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Source {
+    /// The simulated DAQ.
+    Simulate,
+    /// A recording.
+    Replay,
+}
+
+/// Settings of the acquisition stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AcquisitionSettings {
+    /// Where samples come from.
+    pub source: Source,
+    /// Number of channels.
+    pub channels: usize,
+    /// Sampling rate of the session in Hz; a recording of another rate is resampled.
+    pub sample_rate_hz: f64,
+    /// Samples of each channel in a block. 10 at 2000 Hz are 5 ms.
+    pub block_samples: usize,
+    /// The simulated DAQ.
+    pub simulate: SimulateSettings,
+    /// The recording to replay.
+    pub replay: ReplaySettings,
+}
+
+impl Default for AcquisitionSettings {
+    fn default() -> Self {
+        AcquisitionSettings {
+            source: Source::Simulate,
+            channels: 4,
+            sample_rate_hz: 2000.0,
+            block_samples: 10,
+            simulate: SimulateSettings::default(),
+            replay: ReplaySettings::default(),
+        }
+    }
+}
+
+/// Who says which gesture the simulated person makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Gestures {
+    /// `script`, over and over.
+    Script,
+    /// A random sequence, set by `seed`.
+    Random,
+    /// The keys pressed in `tendon run`.
+    Keyboard,
+}
+
+/// Settings of the simulated DAQ. Amplitudes are in the profile's unit (ADC counts in the default one).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulateSettings {
+    /// Who says which gesture is made.
+    pub gestures: Gestures,
+    /// Gestures and how long each is held: `rest 6s, extension 2s, …`. Rest comes first: the threshold
+    /// strategy calibrates on its first seconds.
+    pub script: String,
+    /// The same seed gives the same samples.
+    pub seed: u64,
+    /// A profile made by `tendon profile fit`; without one, the profile that comes with Tendon.
+    pub profile: Option<PathBuf>,
+    /// From rest to full contraction, ms.
+    pub rise_ms: f64,
+    /// From full contraction to rest, ms.
+    pub fall_ms: f64,
+    /// Frequency of the mains hum, Hz.
+    pub mains_hz: f64,
+    /// Peak amplitude of the mains hum; 0 for none.
+    pub mains_amplitude: f32,
+    /// Frequency of the baseline wander, Hz.
+    pub wander_hz: f64,
+    /// Peak amplitude of the baseline wander; 0 for none.
+    pub wander_amplitude: f32,
+    /// Constant offset of the amplifier.
+    pub offset: f32,
+    /// How often a minute, on average, one channel goes flat; 0 for never.
+    pub dropouts_per_minute: f64,
+    /// How long a channel stays flat, ms.
+    pub dropout_ms: f64,
+    /// Samples are limited to ± this value; none when left out.
+    pub clip_at: Option<f32>,
+    /// Blocks come up to this much later than they are due, at random, ms.
+    pub jitter_ms: f64,
+}
+
+impl Default for SimulateSettings {
+    fn default() -> Self {
+        let simulation = SimulationSettings::default();
+        let contraction = ContractionSettings::default();
+        SimulateSettings {
+            gestures: Gestures::Script,
+            script: DEFAULT_SCRIPT.to_owned(),
+            seed: simulation.seed,
+            profile: None,
+            rise_ms: contraction.rise_ms,
+            fall_ms: contraction.fall_ms,
+            mains_hz: simulation.mains_hz,
+            mains_amplitude: simulation.mains_amplitude,
+            wander_hz: simulation.wander_hz,
+            wander_amplitude: simulation.wander_amplitude,
+            offset: simulation.offset,
+            dropouts_per_minute: simulation.dropouts_per_minute,
+            dropout_ms: simulation.dropout_ms,
+            clip_at: simulation.clip_at,
+            jitter_ms: 0.0,
+        }
+    }
+}
+
+/// How fast a recording is replayed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pace {
+    /// As fast as it was recorded. The newest messages are kept; what a slow stage misses is counted.
+    True,
+    /// As fast as the stages can. Every message is waited for, so the outcome is the same every time.
+    Full,
+}
+
+/// Which recording is replayed, and how.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReplaySettings {
+    /// A folder of the 3DC layout, one of its files, or a plain table (CSV).
+    pub path: Option<PathBuf>,
+    /// Which channels of the recording, by number from 0 or by column name.
+    pub channels: Vec<Channel>,
+    /// Sampling rate of a plain table, Hz.
+    pub sample_rate_hz: Option<f64>,
+    /// Of a 3DC folder, only this repetition; all in order when left out.
+    pub repetition: Option<u32>,
+    /// How fast.
+    pub pace: Pace,
+}
+
+impl Default for ReplaySettings {
+    fn default() -> Self {
+        ReplaySettings {
+            path: None,
+            channels: [0, 3, 5, 8].map(Channel::Index).to_vec(),
+            sample_rate_hz: None,
+            repetition: None,
+            pace: Pace::True,
+        }
+    }
+}
+
+/// Settings of the inference stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InferenceSettings {
+    /// The ONNX model; when left out, the one that comes with Tendon for the decision's strategy.
+    pub model: Option<PathBuf>,
+    /// ONNX Runtime's shared library; when left out, `ORT_DYLIB_PATH`, then what
+    /// `scripts/fetch-onnxruntime` put beside the programs.
+    pub runtime_library: Option<PathBuf>,
+}
+
+/// What moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Backend {
+    /// A kinematic simulation of the xArm7.
+    Simulate,
+}
+
+/// Settings of the robot stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotSettings {
+    /// What moves.
+    pub backend: Backend,
+    /// Limits, start position and watchdog.
+    pub arm: ArmSettings,
+}
+
+impl Default for RobotSettings {
+    fn default() -> Self {
+        RobotSettings { backend: Backend::Simulate, arm: ArmSettings::default() }
+    }
+}
+
+/// Whether real-time scheduling is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Realtime {
+    /// Where the rights allow it.
+    Auto,
+    /// Or the session does not start.
+    On,
+    /// Never.
+    Off,
+}
+
+/// What is asked of the kernel's scheduler.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SchedulingSettings {
+    /// Whether real-time scheduling is used.
+    pub realtime: Realtime,
+    /// Keep all stages on one core: a hand-over then never waits for a sleeping core to wake.
+    pub one_core: bool,
+}
+
+impl Default for SchedulingSettings {
+    fn default() -> Self {
+        SchedulingSettings { realtime: Realtime::Auto, one_core: true }
+    }
+}
+
+/// What is wrong with a configuration.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file could not be read.
+    #[error("{}: cannot read the configuration: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// The file is not what it has to be.
+    #[error("{}: {message}{suggestion}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong and where.
+        message: String,
+        /// The nearest known key, as a sentence; empty when there is none.
+        suggestion: String,
+    },
+    /// A value cannot work.
+    #[error("{key} = {value}: {remedy}")]
+    Value {
+        /// Key of the setting.
+        key: &'static str,
+        /// Its value.
+        value: String,
+        /// What to do.
+        remedy: String,
+    },
+}
+
+/// Most channels a session may have; beyond it a header is more likely damaged than meant.
+const MAXIMUM_CHANNELS: usize = 1024;
+
+impl Config {
+    /// Reads the configuration at `path` and checks it. Relative paths in it become absolute, from its
+    /// folder.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`], naming file, line and key.
+    pub fn read(path: &Path) -> Result<Config, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let mut config = Config::parse(&text, path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        for setting in [
+            &mut config.acquisition.simulate.profile,
+            &mut config.acquisition.replay.path,
+            &mut config.inference.model,
+            &mut config.inference.runtime_library,
+        ] {
+            if let Some(value) = setting.as_mut() {
+                *value = folder.join(&value);
+            }
+        }
+        Ok(config)
+    }
+
+    /// Reads a configuration from `text`; `path` is only for messages.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Parse`].
+    pub fn parse(text: &str, path: &Path) -> Result<Config, ConfigError> {
+        toml::from_str(text).map_err(|error| {
+            let message = error.to_string();
+            ConfigError::Parse { path: path.to_owned(), suggestion: suggestion(&message), message }
+        })
+    }
+
+    /// The configuration as the text of a `tendon.toml`.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a configuration has only what TOML can say: tested")
+    }
+
+    /// Checks what no single key can tell: ranges, and whether the settings fit each other.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Value`] for the first that does not.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let acquisition = &self.acquisition;
+        let value = |key, value: String, remedy: &str| {
+            Err(ConfigError::Value { key, value, remedy: remedy.to_owned() })
+        };
+        if !(1..=MAXIMUM_CHANNELS).contains(&acquisition.channels) {
+            return value("acquisition.channels", acquisition.channels.to_string(), "take 1 to 1024 channels");
+        }
+        if !(100.0..=100_000.0).contains(&acquisition.sample_rate_hz) {
+            return value(
+                "acquisition.sample_rate_hz",
+                acquisition.sample_rate_hz.to_string(),
+                "take 100 to 100000 Hz",
+            );
+        }
+        if !(1..=100_000).contains(&acquisition.block_samples) {
+            return value(
+                "acquisition.block_samples",
+                acquisition.block_samples.to_string(),
+                "take 1 to 100000 samples",
+            );
+        }
+        let jitter_ms = acquisition.simulate.jitter_ms;
+        if !(0.0..=1000.0).contains(&jitter_ms) {
+            return value("acquisition.simulate.jitter_ms", jitter_ms.to_string(), "take 0 to 1000 ms");
+        }
+        if acquisition.source == Source::Replay {
+            if acquisition.replay.path.is_none() {
+                return value(
+                    "acquisition.replay.path",
+                    "(none)".to_owned(),
+                    "name the recording, or use --replay PATH",
+                );
+            }
+            if acquisition.replay.channels.len() != acquisition.channels {
+                return value(
+                    "acquisition.replay.channels",
+                    format!("{} channels", acquisition.replay.channels.len()),
+                    &format!("name as many as acquisition.channels says: {}", acquisition.channels),
+                );
+            }
+        }
+        let invalid = |key, error: &dyn std::fmt::Display| ConfigError::Value {
+            key,
+            value: "…".to_owned(),
+            remedy: error.to_string(),
+        };
+        tendon_signal::SignalChain::new(&self.dsp, acquisition.channels, acquisition.sample_rate_hz)
+            .map_err(|error| invalid("dsp", &error))?;
+        self.decision.check().map_err(|error| invalid("decision", &error))?;
+        self.robot.arm.check().map_err(|error| invalid("robot.arm", &error))
+    }
+
+    /// Whether messages are waited for or the newest are kept.
+    pub fn delivery(&self) -> Delivery {
+        match (self.acquisition.source, self.acquisition.replay.pace) {
+            (Source::Replay, Pace::Full) => Delivery::Lossless,
+            _ => Delivery::Live,
+        }
+    }
+
+    /// Samples of all channels in a block.
+    pub fn block_length(&self) -> usize {
+        self.acquisition.channels * self.acquisition.block_samples
+    }
+
+    /// Samples of all channels in a window.
+    pub fn window_length(&self) -> usize {
+        self.acquisition.channels * self.dsp.windows.window_samples
+    }
+
+    /// File name of the model that comes with Tendon for the decision's strategy.
+    pub fn default_model_file(&self) -> &'static str {
+        match self.decision.strategy {
+            Strategy::Threshold => "cnn-five-gesture.onnx",
+            Strategy::Direct => "cnn-six-class.onnx",
+        }
+    }
+}
+
+impl SimulateSettings {
+    /// What the simulated amplifier needs to know.
+    pub fn simulation(&self, channels: usize, sample_rate_hz: f64) -> SimulationSettings {
+        SimulationSettings {
+            channels,
+            sample_rate_hz,
+            seed: self.seed,
+            mains_hz: self.mains_hz,
+            mains_amplitude: self.mains_amplitude,
+            wander_hz: self.wander_hz,
+            wander_amplitude: self.wander_amplitude,
+            offset: self.offset,
+            dropouts_per_minute: self.dropouts_per_minute,
+            dropout_ms: self.dropout_ms,
+            clip_at: self.clip_at,
+        }
+    }
+
+    /// How fast contractions come and go.
+    pub fn contraction(&self) -> ContractionSettings {
+        ContractionSettings { rise_ms: self.rise_ms, fall_ms: self.fall_ms }
+    }
+}
+
+impl ReplaySettings {
+    /// How the recording is read.
+    pub fn recording(&self) -> RecordingSettings {
+        RecordingSettings {
+            channels: self.channels.clone(),
+            sample_rate_hz: self.sample_rate_hz,
+            repetition: self.repetition,
+        }
+    }
+}
+
+/// A sentence naming the known key or value nearest to the unknown one that `message` complains of. serde
+/// lists the known ones in backticks after the unknown one.
+fn suggestion(message: &str) -> String {
+    let Some(start) = message.find("unknown field").or_else(|| message.find("unknown variant")) else {
+        return String::new();
+    };
+    let mut names = message[start..].split('`').skip(1).step_by(2);
+    let Some(unknown) = names.next() else {
+        return String::new();
+    };
+    names
+        .map(|known| (strsim::damerau_levenshtein(unknown, known), known))
+        .min()
+        .filter(|(distance, known)| *distance <= 2.max(known.len() / 3))
+        .map_or_else(String::new, |(_, known)| format!("did you mean `{known}`?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn parse(text: &str) -> Result<Config, String> {
+        Config::parse(text, Path::new("tendon.toml")).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn an_empty_file_is_the_default_and_the_default_is_valid() {
+        assert_eq!(parse("").unwrap(), Config::default());
+        Config::default().check().unwrap();
+    }
+
+    #[test]
+    fn a_configuration_reads_back_from_its_text() {
+        let mut config = Config::default();
+        config.acquisition.simulate.clip_at = Some(100.0);
+        config.acquisition.replay.path = Some("recording.csv".into());
+        config.acquisition.replay.channels = vec![Channel::Index(2), Channel::Name("biceps".into())];
+        assert_eq!(parse(&config.to_toml()).unwrap(), config);
+    }
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_line_and_the_nearest_known_one() {
+        let error = parse("[acquisition]\nblock_sample = 5\n").unwrap_err();
+        for part in ["tendon.toml", "line 2", "block_sample", "did you mean `block_samples`?"] {
+            assert!(error.contains(part), "`{part}` is not in: {error}");
+        }
+    }
+
+    #[test]
+    fn settings_that_do_not_fit_each_other_are_refused() {
+        let mut config = Config::default();
+        config.acquisition.source = Source::Replay;
+        assert!(config.check().unwrap_err().to_string().contains("--replay PATH"));
+        config.acquisition.replay.path = Some("x".into());
+        config.acquisition.channels = 3;
+        assert!(config.check().unwrap_err().to_string().contains("as many as acquisition.channels"));
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_makes_the_parser_panic(text in "[\\x00-\\x7f]{0,200}") {
+            let _ = parse(&text);
+        }
+    }
+}

@@ -1,0 +1,359 @@
+//! From the probabilities of a window to what the arm is to do (paper sections "Muscle Activation Detection
+//! Strategies" and "Simulations and Implementation on the Robotic Arm").
+
+use serde::{Deserialize, Serialize};
+
+use crate::Gesture;
+
+/// How rest and movement are told apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Strategy {
+    /// Strategy (a): the activity detector tells rest from movement, the classifier only which of the five
+    /// active gestures it is.
+    Threshold,
+    /// Strategy (c): the classifier knows all six classes; the activity detector is not asked.
+    Direct,
+}
+
+/// Settings of the decision stage. The defaults are the paper's; the speed is ours, as the paper names none.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DecisionSettings {
+    /// How rest and movement are told apart.
+    pub strategy: Strategy,
+    /// Windows that vote, the current one included.
+    pub vote_windows: usize,
+    /// Grips in a row that toggle the gripper.
+    pub grip_windows: u32,
+    /// Shortest time between two toggles of the gripper, in s.
+    pub grip_interval_s: f64,
+    /// Speed of the arm while a gesture is held, in mm/s.
+    pub speed_mm_per_s: f64,
+}
+
+impl Default for DecisionSettings {
+    fn default() -> Self {
+        DecisionSettings {
+            strategy: Strategy::Threshold,
+            vote_windows: 3,
+            grip_windows: 3,
+            grip_interval_s: 2.0,
+            speed_mm_per_s: 50.0,
+        }
+    }
+}
+
+/// A setting of the decision stage that cannot work.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("decision.{setting} = {value}: {remedy}")]
+pub struct InvalidDecisionSetting {
+    /// Key of the setting.
+    pub setting: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// What to do.
+    pub remedy: &'static str,
+}
+
+impl DecisionSettings {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    ///
+    /// The first setting that is out of its range.
+    pub fn check(&self) -> Result<(), InvalidDecisionSetting> {
+        let invalid = |setting, value, remedy| Err(InvalidDecisionSetting { setting, value, remedy });
+        if !(1..=MAXIMUM_VOTES).contains(&self.vote_windows) {
+            return invalid("vote_windows", self.vote_windows as f64, "take 1 to 15 windows");
+        }
+        if self.grip_windows == 0 {
+            return invalid("grip_windows", 0.0, "take at least 1 window");
+        }
+        if !(self.grip_interval_s.is_finite() && self.grip_interval_s >= 0.0) {
+            return invalid("grip_interval_s", self.grip_interval_s, "take 0 or more seconds");
+        }
+        if !(self.speed_mm_per_s.is_finite() && self.speed_mm_per_s >= 0.0) {
+            return invalid("speed_mm_per_s", self.speed_mm_per_s, "take 0 or more mm/s");
+        }
+        Ok(())
+    }
+}
+
+const MAXIMUM_VOTES: usize = 15;
+
+/// What is known of a window when it is decided upon.
+#[derive(Clone, Copy, Debug)]
+pub struct Evidence<'a> {
+    /// Probability of every gesture, by class number.
+    pub probabilities: &'a [f32; Gesture::COUNT],
+    /// The activity detector says that the muscles are active.
+    pub moving: bool,
+    /// The window's samples are whole: none had to be replaced.
+    pub intact: bool,
+    /// When the window's newest sample was captured, in ns of any steady clock.
+    pub captured_ns: u64,
+}
+
+/// The state the gripper is told to take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GripperTarget {
+    /// Open.
+    Open,
+    /// Closed.
+    Closed,
+}
+
+/// What follows from a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decision {
+    /// This window's gesture, before the vote.
+    pub gesture: Gesture,
+    /// Its probability; 1 where no classifier was asked.
+    pub confidence: f32,
+    /// The gesture acted on, after the vote.
+    pub voted: Gesture,
+    /// Linear velocity in the arm's base frame, mm/s along x, y, z.
+    pub velocity_mm_per_s: [f64; 3],
+    /// The gripper's new target, only at the window that toggles it.
+    pub gripper: Option<GripperTarget>,
+}
+
+/// The decision stage: keeps the last votes and the gripper's state.
+#[derive(Clone, Debug)]
+pub struct Decider {
+    settings: DecisionSettings,
+    votes: [Gesture; MAXIMUM_VOTES],
+    next_vote: usize,
+    grips_in_a_row: u32,
+    toggled_ns: Option<u64>,
+    gripper: GripperTarget,
+}
+
+impl Decider {
+    /// A decider at rest, gripper open.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidDecisionSetting`] as [`DecisionSettings::check`].
+    pub fn new(settings: &DecisionSettings) -> Result<Decider, InvalidDecisionSetting> {
+        settings.check()?;
+        Ok(Decider {
+            settings: settings.clone(),
+            votes: [Gesture::Rest; MAXIMUM_VOTES],
+            next_vote: 0,
+            grips_in_a_row: 0,
+            toggled_ns: None,
+            gripper: GripperTarget::Open,
+        })
+    }
+
+    /// Decides upon the next window.
+    pub fn decide(&mut self, evidence: &Evidence<'_>) -> Decision {
+        let (gesture, confidence) = self.recognise(evidence);
+        self.votes[self.next_vote] = gesture;
+        self.next_vote = (self.next_vote + 1) % self.settings.vote_windows;
+        let voted = majority(&self.votes[..self.settings.vote_windows]);
+        self.grips_in_a_row = if gesture == Gesture::Grip { self.grips_in_a_row + 1 } else { 0 };
+        Decision {
+            gesture,
+            confidence,
+            voted,
+            velocity_mm_per_s: direction(voted).map(|axis| axis * self.settings.speed_mm_per_s),
+            gripper: self.toggle_gripper(evidence.captured_ns),
+        }
+    }
+
+    /// Forgets the votes: windows are missing, so the last ones say nothing about now.
+    pub fn restart(&mut self) {
+        self.votes = [Gesture::Rest; MAXIMUM_VOTES];
+        self.grips_in_a_row = 0;
+    }
+
+    fn recognise(&self, evidence: &Evidence<'_>) -> (Gesture, f32) {
+        let finite = evidence.probabilities.iter().all(|probability| probability.is_finite());
+        if !evidence.intact || !finite {
+            return (Gesture::Rest, 1.0);
+        }
+        let candidates: &[Gesture] = match self.settings.strategy {
+            Strategy::Threshold if !evidence.moving => return (Gesture::Rest, 1.0),
+            Strategy::Threshold => &Gesture::ACTIVE,
+            Strategy::Direct => &Gesture::ALL,
+        };
+        candidates
+            .iter()
+            .map(|&gesture| (gesture, evidence.probabilities[gesture.index()]))
+            .max_by(|(_, left), (_, right)| left.total_cmp(right))
+            .unwrap_or((Gesture::Rest, 1.0))
+    }
+
+    fn toggle_gripper(&mut self, captured_ns: u64) -> Option<GripperTarget> {
+        let interval_ns = (self.settings.grip_interval_s * 1e9) as u64;
+        let too_soon =
+            self.toggled_ns.is_some_and(|toggled_ns| captured_ns.saturating_sub(toggled_ns) < interval_ns);
+        if self.grips_in_a_row < self.settings.grip_windows || too_soon {
+            return None;
+        }
+        self.grips_in_a_row = 0;
+        self.toggled_ns = Some(captured_ns);
+        self.gripper = match self.gripper {
+            GripperTarget::Open => GripperTarget::Closed,
+            GripperTarget::Closed => GripperTarget::Open,
+        };
+        Some(self.gripper)
+    }
+}
+
+/// The gesture that more than half of the votes name. Without such a majority: rest, because an arm that
+/// waits does less harm than one that guesses.
+fn majority(votes: &[Gesture]) -> Gesture {
+    Gesture::ALL
+        .into_iter()
+        .find(|gesture| 2 * votes.iter().filter(|vote| *vote == gesture).count() > votes.len())
+        .unwrap_or(Gesture::Rest)
+}
+
+/// Direction of motion in the arm's base frame (the paper's table of gestures).
+fn direction(gesture: Gesture) -> [f64; 3] {
+    match gesture {
+        Gesture::Rest | Gesture::Grip => [0.0, 0.0, 0.0],
+        Gesture::Extension => [0.0, 0.0, 1.0],
+        Gesture::Flexion => [0.0, 0.0, -1.0],
+        Gesture::Ulnar => [0.0, 1.0, 0.0],
+        Gesture::Radial => [0.0, -1.0, 0.0],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const INCREMENT_NS: u64 = 75_000_000;
+
+    fn certain(gesture: Gesture) -> [f32; Gesture::COUNT] {
+        let mut probabilities = [0.02; Gesture::COUNT];
+        probabilities[gesture.index()] = 0.9;
+        probabilities
+    }
+
+    fn decide_all(decider: &mut Decider, windows: &[(Gesture, bool)]) -> Vec<Decision> {
+        let decide = |(index, (gesture, moving)): (usize, &(Gesture, bool))| {
+            decider.decide(&Evidence {
+                probabilities: &certain(*gesture),
+                moving: *moving,
+                intact: true,
+                captured_ns: index as u64 * INCREMENT_NS,
+            })
+        };
+        windows.iter().enumerate().map(decide).collect()
+    }
+
+    #[test]
+    fn gestures_move_the_arm_as_the_paper_says() {
+        for (gesture, velocity) in [
+            (Gesture::Extension, [0.0, 0.0, 50.0]),
+            (Gesture::Flexion, [0.0, 0.0, -50.0]),
+            (Gesture::Ulnar, [0.0, 50.0, 0.0]),
+            (Gesture::Radial, [0.0, -50.0, 0.0]),
+            (Gesture::Grip, [0.0, 0.0, 0.0]),
+        ] {
+            let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
+            let decisions = decide_all(&mut decider, &[(gesture, true); 2]);
+            assert_eq!(decisions[0].voted, Gesture::Rest, "one vote of three is no majority");
+            assert_eq!(decisions[1].voted, gesture);
+            assert_eq!(decisions[1].velocity_mm_per_s, velocity);
+        }
+    }
+
+    #[test]
+    fn three_grips_toggle_the_gripper_but_not_twice_within_two_seconds() {
+        let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
+        let toggles: Vec<(usize, GripperTarget)> = decide_all(&mut decider, &[(Gesture::Grip, true); 60])
+            .iter()
+            .enumerate()
+            .filter_map(|(index, decision)| decision.gripper.map(|gripper| (index, gripper)))
+            .collect();
+        // 2 s are 26.7 increments: the next toggle comes with window 2 + 27.
+        assert_eq!(
+            toggles,
+            [(2, GripperTarget::Closed), (29, GripperTarget::Open), (56, GripperTarget::Closed)]
+        );
+    }
+
+    #[test]
+    fn a_broken_row_of_grips_toggles_nothing() {
+        let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
+        let windows = [Gesture::Grip, Gesture::Grip, Gesture::Ulnar, Gesture::Grip, Gesture::Grip];
+        let decisions = decide_all(&mut decider, &windows.map(|gesture| (gesture, true)));
+        assert!(decisions.iter().all(|decision| decision.gripper.is_none()));
+    }
+
+    #[test]
+    fn only_the_direct_strategy_lets_the_classifier_say_rest() {
+        let threshold = DecisionSettings::default();
+        let direct = DecisionSettings { strategy: Strategy::Direct, ..DecisionSettings::default() };
+        for (settings, moving, expected) in [
+            (&threshold, false, Gesture::Rest),
+            (&threshold, true, Gesture::Grip),
+            (&direct, false, Gesture::Grip),
+        ] {
+            let mut decider = Decider::new(settings).unwrap();
+            let decisions = decide_all(&mut decider, &[(Gesture::Grip, moving)]);
+            assert_eq!(decisions[0].gesture, expected);
+        }
+        let mut decider = Decider::new(&direct).unwrap();
+        assert_eq!(decide_all(&mut decider, &[(Gesture::Rest, true)])[0].gesture, Gesture::Rest);
+    }
+
+    #[test]
+    fn damaged_windows_are_rest() {
+        for (probabilities, intact) in
+            [(certain(Gesture::Ulnar), false), ([f32::NAN; Gesture::COUNT], true)]
+        {
+            let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
+            for _ in 0..5 {
+                let evidence =
+                    Evidence { probabilities: &probabilities, moving: true, intact, captured_ns: 0 };
+                assert_eq!(decider.decide(&evidence).gesture, Gesture::Rest);
+            }
+        }
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let error =
+            Decider::new(&DecisionSettings { vote_windows: 0, ..DecisionSettings::default() }).unwrap_err();
+        assert_eq!(error.to_string(), "decision.vote_windows = 0: take 1 to 15 windows");
+    }
+
+    fn gestures() -> impl proptest::strategy::Strategy<Value = Vec<(Gesture, bool)>> {
+        prop::collection::vec((prop::sample::select(Gesture::ALL.to_vec()), any::<bool>()), 1..200)
+    }
+
+    proptest! {
+        #[test]
+        fn the_arm_moves_only_with_two_of_three_windows_and_never_faster_than_set(windows in gestures()) {
+            let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
+            let decisions = decide_all(&mut decider, &windows);
+            for (index, decision) in decisions.iter().enumerate() {
+                let speed = decision.velocity_mm_per_s.iter().map(|v| v * v).sum::<f64>().sqrt();
+                prop_assert!(speed <= 50.0);
+                let recent = &decisions[index.saturating_sub(2)..=index];
+                let agreeing = recent.iter().filter(|other| other.gesture == decision.voted).count();
+                prop_assert!(decision.voted == Gesture::Rest || agreeing >= 2);
+            }
+        }
+
+        #[test]
+        fn gripper_toggles_are_two_seconds_apart(windows in gestures()) {
+            let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
+            let toggles: Vec<usize> = decide_all(&mut decider, &windows)
+                .iter()
+                .enumerate()
+                .filter_map(|(index, decision)| decision.gripper.map(|_| index))
+                .collect();
+            prop_assert!(toggles.windows(2).all(|pair| (pair[1] - pair[0]) as u64 * INCREMENT_NS >= 2_000_000_000));
+        }
+    }
+}

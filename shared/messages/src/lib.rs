@@ -1,0 +1,297 @@
+//! What the processes say to each other.
+//!
+//! ```text
+//! topic         header             payload
+//! blocks        BlockHeader        f32 [channels × samples]   raw EMG as acquired
+//! windows       WindowHeader       f32 [channels × samples]   filtered EMG, the classifier's input tensor
+//! predictions   PredictionHeader   f32 [6]                    probability of every gesture
+//! commands      CommandHeader      f32 [6]                    twist: mm/s along x y z, rad/s about x y z
+//! states        StateHeader        f32 [7 + 6]                joints (rad), then position (mm) and roll pitch yaw (rad)
+//! measurements  MeasurementHeader  Measurement [n]            what one process measured of its messages
+//! ```
+//!
+//! Every header starts with a [`Trace`]: the message's sequence number, when its newest sample was captured,
+//! and when each stage so far received and published what led to it. Any consumer can therefore compute
+//! every hop's transit, every stage's work and the age of the newest sample.
+//!
+//! Arrays of samples are channel-major, so a window in shared memory is the tensor `[1, channels, samples]`.
+#![forbid(unsafe_code)]
+
+mod measurement;
+mod topic;
+
+pub use measurement::{Measurement, MeasurementHeader};
+pub use topic::{BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATES, Topic, WINDOWS};
+
+use iceoryx2::prelude::ZeroCopySend;
+
+/// Number of stages on the path of a sample.
+pub const STAGE_COUNT: usize = 5;
+
+/// A process on the path of a sample, in the order of that path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Stage {
+    /// Samples in: simulated, replayed or from an amplifier.
+    Acquisition = 0,
+    /// Filters, activity detection, windows.
+    Dsp = 1,
+    /// Class probabilities of a window.
+    Inference = 2,
+    /// Vote, gripper and velocity map.
+    Decision = 3,
+    /// The arm, simulated or real.
+    Robot = 4,
+}
+
+impl Stage {
+    /// All stages in the order of a sample's path.
+    pub const ALL: [Stage; STAGE_COUNT] =
+        [Stage::Acquisition, Stage::Dsp, Stage::Inference, Stage::Decision, Stage::Robot];
+
+    /// Index into the arrays of a [`Trace`].
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// The stage with this index, `None` beyond the last.
+    pub fn from_index(index: usize) -> Option<Stage> {
+        Stage::ALL.get(index).copied()
+    }
+
+    /// The stage's name, which is also its process's: `acquisition`, `dsp`, …
+    pub const fn name(self) -> &'static str {
+        match self {
+            Stage::Acquisition => "acquisition",
+            Stage::Dsp => "dsp",
+            Stage::Inference => "inference",
+            Stage::Decision => "decision",
+            Stage::Robot => "robot",
+        }
+    }
+
+    /// The stage that feeds this one; `None` for the first.
+    pub fn upstream(self) -> Option<Stage> {
+        self.index().checked_sub(1).and_then(Stage::from_index)
+    }
+}
+
+/// Where a message comes from and when: the common head of every header.
+///
+/// All times are CLOCK_MONOTONIC in ns; 0 means that the stage has not been reached. Times of a stage are
+/// set by the ports of `tendon-transport`, never by hand.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+#[repr(C)]
+pub struct Trace {
+    /// Sequence number of the message on its topic, from 0, without gaps at the publisher.
+    pub sequence: u64,
+    /// When the newest sample behind this message was captured. Simulated and replayed samples carry the
+    /// time they were due, so lateness of the source shows.
+    pub captured_ns: u64,
+    /// When each stage received the message that led to this one.
+    pub received_ns: [u64; STAGE_COUNT],
+    /// When each stage published.
+    pub published_ns: [u64; STAGE_COUNT],
+}
+
+/// A header that starts with a [`Trace`].
+pub trait Traced: Copy + Default + core::fmt::Debug + ZeroCopySend + 'static {
+    /// The trace.
+    fn trace(&self) -> &Trace;
+    /// The trace, to be filled in by the publisher.
+    fn trace_mut(&mut self) -> &mut Trace;
+}
+
+macro_rules! traced {
+    ($($header:ty),+) => {
+        $(impl Traced for $header {
+            fn trace(&self) -> &Trace {
+                &self.trace
+            }
+            fn trace_mut(&mut self) -> &mut Trace {
+                &mut self.trace
+            }
+        })+
+    };
+}
+
+traced!(BlockHeader, WindowHeader, PredictionHeader, CommandHeader, StateHeader, MeasurementHeader);
+
+/// In a field that holds a gesture's class number: no gesture, or not known.
+pub const NO_GESTURE: u8 = u8::MAX;
+
+/// The gesture that was really made, as the source knows it. It travels for scoring only: no stage decides
+/// by it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ZeroCopySend)]
+#[repr(C)]
+pub struct Truth {
+    /// Index of the sample since which the gesture has been the same.
+    pub since_sample: u64,
+    /// Class number of the gesture at the newest sample, or [`NO_GESTURE`].
+    pub gesture: u8,
+}
+
+impl Default for Truth {
+    fn default() -> Self {
+        Truth { since_sample: 0, gesture: NO_GESTURE }
+    }
+}
+
+/// Header of a block of raw samples; payload `f32 [channels × samples]`, channel-major.
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct BlockHeader {
+    /// Origin and times.
+    pub trace: Trace,
+    /// Index of the block's first sample since the source began.
+    pub first_sample: u64,
+    /// Sampling rate in Hz.
+    pub sample_rate_hz: f64,
+    /// The true gesture at the block's newest sample.
+    pub truth: Truth,
+    /// Number of channels.
+    pub channels: u32,
+    /// Samples of each channel.
+    pub samples: u32,
+    /// NaN and infinite samples among the payload. They stay in the block, which is the signal as acquired;
+    /// dsp replaces them.
+    pub non_finite_samples: u32,
+}
+
+/// Header of a window of filtered samples; payload `f32 [channels × samples]`, channel-major.
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct WindowHeader {
+    /// Origin and times.
+    pub trace: Trace,
+    /// What decision and scoring need to know of the window.
+    pub context: WindowContext,
+    /// Number of channels.
+    pub channels: u32,
+    /// Samples of each channel.
+    pub samples: u32,
+}
+
+/// What is known of a window besides its samples; goes unchanged from dsp to decision.
+#[derive(Clone, Copy, Debug, Default, PartialEq, ZeroCopySend)]
+#[repr(C)]
+pub struct WindowContext {
+    /// Index of the window's first sample since the source began.
+    pub first_sample: u64,
+    /// When the window's first sample was captured, CLOCK_MONOTONIC ns.
+    pub first_captured_ns: u64,
+    /// The true gesture at the window's newest sample.
+    pub truth: Truth,
+    /// Replaced (NaN, infinite) samples inside the window; a window with any is treated as rest.
+    pub replaced_samples: u32,
+    /// The activity detector's word at the window's newest sample: an [`Activity`] as number.
+    pub activity: u8,
+}
+
+impl WindowContext {
+    /// The true gesture's class number if the window lies wholly inside it, else `None`.
+    pub fn gesture_throughout(&self) -> Option<u8> {
+        (self.truth.gesture != NO_GESTURE && self.truth.since_sample <= self.first_sample)
+            .then_some(self.truth.gesture)
+    }
+}
+
+/// What the activity detector says, as it travels in [`WindowContext::activity`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Activity {
+    /// The first seconds at rest are still being measured.
+    Calibrating = 0,
+    /// The muscles are at rest.
+    Rest = 1,
+    /// The muscles are active.
+    Move = 2,
+}
+
+impl Activity {
+    /// The activity with this number. What no sender of ours writes is taken for the harmless one.
+    pub fn from_number(number: u8) -> Activity {
+        match number {
+            2 => Activity::Move,
+            1 => Activity::Rest,
+            _ => Activity::Calibrating,
+        }
+    }
+}
+
+/// Header of a prediction; payload `f32 [6]`, the probability of every gesture by class number, 0 for those
+/// the model does not know.
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct PredictionHeader {
+    /// Origin and times.
+    pub trace: Trace,
+    /// The window that was classified.
+    pub context: WindowContext,
+}
+
+/// What the gripper is to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum GripperCommand {
+    /// Stay as it is.
+    Keep = 0,
+    /// Open.
+    Open = 1,
+    /// Close.
+    Close = 2,
+}
+
+impl GripperCommand {
+    /// The command with this number; an unknown one keeps the gripper as it is.
+    pub fn from_number(number: u8) -> GripperCommand {
+        match number {
+            1 => GripperCommand::Open,
+            2 => GripperCommand::Close,
+            _ => GripperCommand::Keep,
+        }
+    }
+}
+
+/// Header of a command; payload `f32 [6]`, the twist in the arm's base frame: mm/s along x, y, z, then
+/// rad/s about x, y, z.
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct CommandHeader {
+    /// Origin and times.
+    pub trace: Trace,
+    /// The window behind the command.
+    pub context: WindowContext,
+    /// Probability of [`CommandHeader::gesture`], 0 to 1.
+    pub confidence: f32,
+    /// Class number of this window's gesture, before the vote.
+    pub gesture: u8,
+    /// Class number of the gesture acted on, after the vote.
+    pub voted: u8,
+    /// A [`GripperCommand`] as number.
+    pub gripper: u8,
+}
+
+/// Length of a command's payload.
+pub const TWIST_LENGTH: usize = 6;
+
+/// Length of a state's payload: seven joints (rad), position (mm), roll, pitch, yaw (rad).
+pub const STATE_LENGTH: usize = 13;
+
+/// Header of the arm's state; payload `f32 [13]`, see [`STATE_LENGTH`].
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[repr(C)]
+pub struct StateHeader {
+    /// Origin and times; of the command acted on.
+    pub trace: Trace,
+    /// Speed of the flange in mm/s.
+    pub speed_mm_per_s: f32,
+    /// Gripper position in xArm gripper pulses (850 open, -10 closed).
+    pub gripper_position: f32,
+    /// Probability of the last command's gesture, 0 to 1.
+    pub confidence: f32,
+    /// Class number of the gesture acted on.
+    pub gesture: u8,
+    /// 1 when no command came in time and the arm was stopped for it.
+    pub halted_by_watchdog: u8,
+}

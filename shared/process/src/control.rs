@@ -1,0 +1,185 @@
+//! How a process is told what to do, and its one blocking wait.
+//!
+//! A supervisor writes lines to the process's standard input: `start` lets the source begin,
+//! `gesture extension` is what the keyboard of `tendon run` says. The end of that input means that the
+//! supervisor is gone: the process stops. SIGINT and SIGTERM stop it as well.
+
+use std::io::PipeReader;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context;
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::time::TimeSpec;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tendon_gesture::Gesture;
+use tendon_transport::now_ns;
+
+/// A line that the supervisor wrote.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Let the source begin.
+    Start,
+    /// The person at the keyboard makes this gesture.
+    Gesture(Gesture),
+}
+
+impl Order {
+    /// The line for this order, without the line feed.
+    pub fn line(self) -> String {
+        match self {
+            Order::Start => "start".to_owned(),
+            Order::Gesture(gesture) => format!("gesture {gesture}"),
+        }
+    }
+
+    fn parse(line: &str) -> Option<Order> {
+        match line.trim().split_once(' ') {
+            None if line.trim() == "start" => Some(Order::Start),
+            Some(("gesture", name)) => name.trim().parse().ok().map(Order::Gesture),
+            _ => None,
+        }
+    }
+}
+
+/// Why a wait ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wake {
+    /// The process is to stop.
+    Stop,
+    /// There is a message.
+    Message,
+    /// The supervisor says something.
+    Order(Order),
+    /// The deadline has come.
+    Deadline,
+}
+
+/// Orders, signals and the wait for them, messages and time.
+#[derive(Debug)]
+pub struct Control {
+    stop: Arc<AtomicBool>,
+    signal_pipe: PipeReader,
+    line: Vec<u8>,
+}
+
+/// Longest line of an order; what is longer is none of ours.
+const MAXIMUM_LINE_LENGTH: usize = 256;
+
+impl Control {
+    /// Takes over SIGINT, SIGTERM and standard input.
+    ///
+    /// # Errors
+    ///
+    /// When the system grants no pipe or handler.
+    pub fn install() -> anyhow::Result<Control> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (signal_pipe, signal_end) = std::io::pipe().context("cannot make a pipe for signals")?;
+        for signal in [SIGINT, SIGTERM] {
+            signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;
+            let end = signal_end.try_clone().context("cannot duplicate the pipe for signals")?;
+            signal_hook::low_level::pipe::register(signal, end).context("cannot handle signals")?;
+        }
+        Ok(Control { stop, signal_pipe, line: Vec::with_capacity(MAXIMUM_LINE_LENGTH) })
+    }
+
+    /// Set when the process is to stop; shared with whatever may have to give up waiting for it.
+    pub fn stop_flag(&self) -> Arc<AtomicBool> {
+        self.stop.clone()
+    }
+
+    /// Whether the process is to stop.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Sleeps until there is a message at `input`, an order, a signal, or the clock reaches `deadline_ns`
+    /// (CLOCK_MONOTONIC). A deadline that has passed ends the wait at once, after messages.
+    ///
+    /// # Errors
+    ///
+    /// When the kernel refuses to poll.
+    pub fn wait(
+        &mut self,
+        input: Option<BorrowedFd<'_>>,
+        deadline_ns: Option<u64>,
+    ) -> anyhow::Result<Wake> {
+        loop {
+            if self.is_stopped() {
+                return Ok(Wake::Stop);
+            }
+            if let Some(order) = self.take_order() {
+                return Ok(Wake::Order(order));
+            }
+            let standard_input = std::io::stdin();
+            let mut descriptors = [
+                PollFd::new(self.signal_pipe.as_fd(), PollFlags::POLLIN),
+                PollFd::new(standard_input.as_fd(), PollFlags::POLLIN),
+                // Without an input the signals stand in for it: being stopped is asked first below.
+                PollFd::new(input.unwrap_or(self.signal_pipe.as_fd()), PollFlags::POLLIN),
+            ];
+            let timeout: Option<TimeSpec> = deadline_ns.map(|deadline_ns| {
+                std::time::Duration::from_nanos(deadline_ns.saturating_sub(now_ns())).into()
+            });
+            match ppoll(&mut descriptors, timeout, None) {
+                Ok(0) => return Ok(Wake::Deadline),
+                Ok(_) => {}
+                Err(Errno::EINTR) => continue,
+                Err(error) => return Err(error).context("cannot wait for messages"),
+            }
+            let is_ready = |descriptor: &PollFd<'_>| descriptor.any() == Some(true);
+            let [signals, orders, messages] = descriptors.each_ref().map(is_ready);
+            if orders {
+                self.read_orders()?;
+            } else if signals {
+                self.stop.store(true, Ordering::Relaxed);
+            } else if messages {
+                return Ok(Wake::Message);
+            }
+        }
+    }
+
+    /// The next whole line read so far; lines that are no order of ours are passed over.
+    fn take_order(&mut self) -> Option<Order> {
+        loop {
+            let end = self.line.iter().position(|byte| *byte == b'\n')?;
+            let order = std::str::from_utf8(&self.line[..end]).ok().and_then(Order::parse);
+            self.line.drain(..=end);
+            if order.is_some() {
+                return order;
+            }
+        }
+    }
+
+    fn read_orders(&mut self) -> anyhow::Result<()> {
+        if self.line.len() >= MAXIMUM_LINE_LENGTH {
+            self.line.clear();
+        }
+        let mut bytes = [0; MAXIMUM_LINE_LENGTH];
+        let room = MAXIMUM_LINE_LENGTH - self.line.len();
+        match nix::unistd::read(std::io::stdin().as_fd(), &mut bytes[..room]) {
+            Ok(0) => self.stop.store(true, Ordering::Relaxed),
+            Ok(count) => self.line.extend_from_slice(&bytes[..count]),
+            Err(Errno::EINTR | Errno::EAGAIN) => {}
+            Err(error) => return Err(error).context("cannot read orders from standard input"),
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn orders_read_back_from_their_lines() {
+        for order in [Order::Start, Order::Gesture(Gesture::Ulnar)] {
+            assert_eq!(Order::parse(&order.line()), Some(order));
+        }
+        for nonsense in ["", "begin", "gesture", "gesture fist", "start now"] {
+            assert_eq!(Order::parse(nonsense), None, "{nonsense}");
+        }
+    }
+}

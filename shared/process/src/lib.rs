@@ -1,0 +1,126 @@
+//! What every stage's process does besides its own work.
+//!
+//! ```text
+//! start ─▶ read config ─▶ ask the scheduler ─▶ join the session ─▶ open ports, warm up ─▶ say ready
+//!                                                                                          │
+//!       stop ◀─ SIGTERM, SIGINT, end of input ── one blocking wait ◀── message, order, deadline
+//! ```
+//!
+//! A process says that it is ready by one line of JSON on its standard output ([`Ready`]). What goes wrong
+//! goes to standard error as one sentence, and the exit code is 2 if the process could not start, 1 if it
+//! broke off later.
+
+mod control;
+mod measure;
+mod scheduling;
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::Parser;
+use serde::{Deserialize, Serialize};
+use tendon_config::Config;
+use tendon_messages::Stage;
+use tendon_transport::Session;
+
+pub use control::{Control, Order, Wake};
+pub use measure::Measurements;
+pub use scheduling::{Policy, RealtimeRefused, Scheduling};
+
+/// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older
+/// intentions are no intentions: the person has seen since what the arm did.
+pub const STALE_NS: u64 = 100_000_000;
+
+/// Command line of a stage. `tendon run` starts the stages with it; so can you, in any order.
+#[derive(Debug, Parser)]
+#[command(version, about = "One stage of a Tendon session; `tendon run` starts the whole set.")]
+struct Arguments {
+    /// Configuration of the session.
+    #[arg(long, value_name = "FILE", default_value = "tendon.toml")]
+    config: PathBuf,
+}
+
+/// The line a process writes to standard output when it is ready.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ready {
+    /// Name of the stage.
+    pub stage: String,
+    /// What the kernel granted.
+    pub scheduling: Scheduling,
+    /// What a user may want to know, such as the model or the recording.
+    pub detail: String,
+}
+
+/// A process that takes part in a session as a stage.
+#[derive(Debug)]
+pub struct StageProcess {
+    /// Which stage.
+    pub stage: Stage,
+    /// The session's settings.
+    pub config: Config,
+    /// The session.
+    pub session: Session,
+    /// Orders, signals and the blocking wait.
+    pub control: Control,
+    /// What is measured.
+    pub measurements: Measurements,
+    scheduling: Scheduling,
+}
+
+impl StageProcess {
+    /// Says that the process is ready: its ports are open and it is warm.
+    ///
+    /// # Errors
+    ///
+    /// When standard output is closed or the measurements cannot be published.
+    pub fn ready(&mut self, detail: &str) -> anyhow::Result<()> {
+        let ready = Ready {
+            stage: self.stage.name().to_owned(),
+            scheduling: self.scheduling.clone(),
+            detail: detail.to_owned(),
+        };
+        self.measurements.publish()?;
+        let line = serde_json::to_string(&ready).context("cannot say ready")?;
+        writeln!(std::io::stdout(), "{line}").context("cannot say ready on standard output")
+    }
+}
+
+/// The `main` of a stage: prepares the process, opens the stage with `open`, and runs what that gives until
+/// it ends.
+pub fn main<Run>(stage: Stage, open: impl FnOnce(&mut StageProcess) -> anyhow::Result<Run>) -> ExitCode
+where
+    Run: FnOnce(&mut StageProcess) -> anyhow::Result<()>,
+{
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_env("TENDON_LOG").unwrap_or_else(|_| "warn".into()),
+        )
+        .init();
+    let arguments = Arguments::parse();
+    let opened = prepare(stage, &arguments).and_then(|mut process| Ok((open(&mut process)?, process)));
+    let (result, failure) = match opened {
+        Ok((run, mut process)) => (run(&mut process), ExitCode::from(1)),
+        Err(error) => (Err(error), ExitCode::from(2)),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // Without standard error there is nobody left to tell; the exit code still says it.
+            let _ = writeln!(std::io::stderr(), "tendon {}: error: {error:#}", stage.name());
+            failure
+        }
+    }
+}
+
+fn prepare(stage: Stage, arguments: &Arguments) -> anyhow::Result<StageProcess> {
+    let config = Config::read(&arguments.config)?;
+    config.check()?;
+    let control = Control::install()?;
+    let scheduling = scheduling::schedule(&config.scheduling, stage)?;
+    let session = Session::join(&config.session, stage.name())?;
+    let measurements = Measurements::open(&session, stage)?;
+    Ok(StageProcess { stage, config, session, control, measurements, scheduling })
+}

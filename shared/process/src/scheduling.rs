@@ -1,0 +1,183 @@
+//! Asking the kernel to run a stage at once when its message comes.
+//!
+//! Under load a thread of the default policy may wait for a whole scheduler tick (3 to 4 ms were measured)
+//! before it runs. Two remedies, in this order:
+//!
+//! 1. SCHED_FIFO, where the rights allow it: the stage runs before everything of the default policy.
+//! 2. A short slice under EEVDF (Linux 6.12 and later): needs no rights; a thread that asks for 0.1 ms at a
+//!    time is let in early, `sched_setattr(2)` with `sched_runtime` under SCHED_OTHER.
+//!
+//! All stages run on one core, because a hand-over to a sleeping core costs its waking, which on virtual
+//! machines and laptops takes longer than all the stages' work, and no two stages ever work at the same time.
+
+use std::fmt;
+
+use nix::errno::Errno;
+use nix::sched::{CpuSet, sched_getaffinity, sched_setaffinity};
+use nix::sys::mman::{MlockAllFlags, mlockall};
+use nix::unistd::Pid;
+use serde::{Deserialize, Serialize};
+use tendon_config::{Realtime, SchedulingSettings};
+use tendon_messages::Stage;
+
+/// Slice asked of EEVDF, in ns: the shortest it grants (`sched_setattr(2)` clamps to 0.1 ms).
+const SHORT_SLICE_NS: u64 = 100_000;
+/// SCHED_FIFO priority of the first stage; each later one is one higher, so that a message overtakes those
+/// behind it. Middling: above ordinary threads, below what a real-time kernel runs its interrupts at (50).
+const FIRST_STAGE_PRIORITY: u32 = 40;
+
+/// What the kernel granted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Scheduling {
+    /// Policy and priority or slice.
+    pub policy: Policy,
+    /// Memory is locked: no page of the process is ever swapped out.
+    pub memory_locked: bool,
+    /// The one core the process runs on; `None` when it may run on all.
+    pub core: Option<usize>,
+    /// Why it is not more, in words; empty when all that was asked for was granted.
+    pub shortfall: String,
+}
+
+/// How the kernel schedules the process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Policy {
+    /// SCHED_FIFO with this priority.
+    Fifo(u32),
+    /// SCHED_OTHER with a slice of this many ns.
+    ShortSlice(u64),
+    /// SCHED_OTHER as is.
+    Default,
+}
+
+impl fmt::Display for Scheduling {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.policy {
+            Policy::Fifo(priority) => write!(formatter, "SCHED_FIFO {priority}")?,
+            Policy::ShortSlice(slice_ns) => {
+                write!(formatter, "SCHED_OTHER with a slice of {:.1} ms", slice_ns as f64 / 1e6)?;
+            }
+            Policy::Default => write!(formatter, "SCHED_OTHER")?,
+        }
+        write!(formatter, ", memory {}", if self.memory_locked { "locked" } else { "not locked" })?;
+        match self.core {
+            Some(core) => write!(formatter, ", core {core}"),
+            None => write!(formatter, ", any core"),
+        }
+    }
+}
+
+/// Real-time scheduling was demanded and is not to be had.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "scheduling.realtime = \"on\": {what} was refused ({reason}); grant it with `setcap cap_sys_nice,cap_ipc_lock+ep` \
+     on the programs or rtprio and memlock in /etc/security/limits.conf, or use --realtime auto"
+)]
+pub struct RealtimeRefused {
+    what: &'static str,
+    reason: Errno,
+}
+
+/// Asks the kernel for what `settings` want, for this process as `stage`.
+///
+/// # Errors
+///
+/// [`RealtimeRefused`] with `realtime = "on"` only; otherwise what is refused is noted in
+/// [`Scheduling::shortfall`].
+pub fn schedule(settings: &SchedulingSettings, stage: Stage) -> Result<Scheduling, RealtimeRefused> {
+    let mut shortfall = Vec::new();
+    // Timers under SCHED_OTHER are otherwise up to 50 us late on purpose.
+    if let Err(error) = nix::sys::prctl::set_timerslack(1) {
+        shortfall.push(format!("timer slack stays at 50 us ({error})"));
+    }
+    let core = settings.one_core.then(|| pin_to_one_core(&mut shortfall)).flatten();
+    let mut policy = Policy::Default;
+    let mut memory_locked = false;
+    if settings.realtime != Realtime::Off {
+        let priority = FIRST_STAGE_PRIORITY + stage.index() as u32;
+        match set_attributes(&Attributes::fifo(priority)) {
+            Ok(()) => policy = Policy::Fifo(priority),
+            Err(reason) if settings.realtime == Realtime::On => {
+                return Err(RealtimeRefused { what: "SCHED_FIFO", reason });
+            }
+            Err(reason) => shortfall.push(format!("SCHED_FIFO refused ({reason})")),
+        }
+        // Only pages that are in use: the stacks of idle threads and the unused parts of libraries need none.
+        let flags = MlockAllFlags::MCL_CURRENT
+            | MlockAllFlags::MCL_FUTURE
+            | MlockAllFlags::from_bits_retain(libc::MCL_ONFAULT);
+        match mlockall(flags) {
+            Ok(()) => memory_locked = true,
+            Err(reason) if settings.realtime == Realtime::On => {
+                return Err(RealtimeRefused { what: "locking memory", reason });
+            }
+            Err(reason) => shortfall.push(format!("locking memory refused ({reason})")),
+        }
+    }
+    if policy == Policy::Default {
+        match set_attributes(&Attributes::short_slice()) {
+            Ok(()) => policy = Policy::ShortSlice(SHORT_SLICE_NS),
+            Err(reason) => shortfall.push(format!("a short slice was refused ({reason})")),
+        }
+    }
+    Ok(Scheduling { policy, memory_locked, core, shortfall: shortfall.join("; ") })
+}
+
+/// Restricts the process to the last core it may run on (interrupts tend to go to the first).
+fn pin_to_one_core(shortfall: &mut Vec<String>) -> Option<usize> {
+    let this_process = Pid::from_raw(0);
+    let pinned = sched_getaffinity(this_process).and_then(|allowed| {
+        let core = (0..CpuSet::count()).rev().find(|core| allowed.is_set(*core) == Ok(true));
+        let core = core.ok_or(Errno::EINVAL)?;
+        let mut one = CpuSet::new();
+        one.set(core)?;
+        sched_setaffinity(this_process, &one)?;
+        Ok(core)
+    });
+    pinned.map_err(|error| shortfall.push(format!("cannot stay on one core ({error})"))).ok()
+}
+
+/// `struct sched_attr` of sched_setattr(2), in its first version.
+#[repr(C)]
+struct Attributes {
+    size: u32,
+    policy: u32,
+    flags: u64,
+    nice: i32,
+    priority: u32,
+    runtime_ns: u64,
+    deadline_ns: u64,
+    period_ns: u64,
+}
+
+impl Attributes {
+    fn fifo(priority: u32) -> Attributes {
+        Attributes { priority, ..Attributes::of_policy(libc::SCHED_FIFO) }
+    }
+
+    fn short_slice() -> Attributes {
+        Attributes { runtime_ns: SHORT_SLICE_NS, ..Attributes::of_policy(libc::SCHED_OTHER) }
+    }
+
+    fn of_policy(policy: libc::c_int) -> Attributes {
+        Attributes {
+            size: size_of::<Attributes>() as u32,
+            policy: policy as u32,
+            flags: 0,
+            nice: 0,
+            priority: 0,
+            runtime_ns: 0,
+            deadline_ns: 0,
+            period_ns: 0,
+        }
+    }
+}
+
+/// sched_setattr(2) for the calling thread; no library wraps it, and sched_setscheduler(2) knows no slices.
+fn set_attributes(attributes: &Attributes) -> Result<(), Errno> {
+    // SAFETY: the kernel reads `attributes.size` bytes from a live, `repr(C)` value of exactly that size and
+    // keeps no pointer.
+    let result = unsafe { libc::syscall(libc::SYS_sched_setattr, 0, std::ptr::from_ref(attributes), 0) };
+    if result == 0 { Ok(()) } else { Err(Errno::last()) }
+}

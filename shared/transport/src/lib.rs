@@ -1,0 +1,27 @@
+//! Typed publish-subscribe ports over iceoryx2 shared memory.
+//!
+//! ```text
+//!  publisher process                shared memory                     subscriber process
+//!  Publisher::publish ──loan, fill in place──▶ [header | payload] ◀──read in place── Subscriber::receive
+//!          └───────── event: "there is something" ───────────────────▶ its one blocking wait
+//! ```
+//!
+//! * A message is written once, in place, and read in place: nothing is copied or serialised on the way.
+//! * Every message carries a [`Trace`](tendon_messages::Trace); the ports set its stamps and sequence number,
+//!   and the subscriber counts the gaps.
+//! * [`Delivery::Live`] keeps the newest messages for a slow subscriber and never holds up the publisher;
+//!   [`Delivery::Lossless`] makes the publisher wait and loses nothing.
+//! * Everything lives under a [`SessionName`], so that two sessions on one machine never meet.
+
+mod clock;
+mod publisher;
+mod session;
+mod subscriber;
+
+pub use clock::now_ns;
+pub use publisher::{Element, PublishError, Publisher};
+pub use session::{
+    Delivery, InvalidSessionName, Leftovers, Session, SessionError, SessionLock, SessionLockError,
+    SessionName, shared_memory_directory,
+};
+pub use subscriber::{ReceiveError, Received, Subscriber};

@@ -1,0 +1,167 @@
+//! The sending end of a topic.
+
+use core::fmt::Debug;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::Publisher as Port;
+use iceoryx2::port::{BackpressureAction, BackpressureInfo};
+use iceoryx2::prelude::{BackpressureStrategy, ZeroCopySend, ipc};
+use tendon_messages::{Measurement, Stage, Topic, Traced};
+
+use crate::clock::now_ns;
+use crate::session::{Delivery, Session, SessionError};
+
+/// What a payload may consist of.
+///
+/// # Safety
+///
+/// Every bit pattern must be a valid value of the type, so that memory which the kernel zeroed, or which an
+/// earlier message of the same topic left behind, may be handed out as `&mut [Self]`.
+pub unsafe trait Element: Copy + Debug + ZeroCopySend + 'static {}
+
+// SAFETY: every 32-bit pattern is an f32.
+unsafe impl Element for f32 {}
+// SAFETY: integers only, and padding, which carries no value.
+unsafe impl Element for Measurement {}
+
+/// Why a message could not be published.
+#[derive(Debug, thiserror::Error)]
+pub enum PublishError {
+    /// The payload is longer than what the port was opened for.
+    #[error("topic `{topic}`: a message of {length} elements does not fit the {maximum} reserved for it")]
+    TooLong {
+        /// Topic name.
+        topic: &'static str,
+        /// Elements asked for.
+        length: usize,
+        /// Elements reserved.
+        maximum: usize,
+    },
+    /// The process was told to stop while a lossless subscriber had no room.
+    #[error("topic `{topic}`: stopped while waiting for a subscriber that takes no more messages")]
+    Stopped {
+        /// Topic name.
+        topic: &'static str,
+    },
+    /// iceoryx2 refused.
+    #[error("topic `{topic}`: cannot publish: {reason}")]
+    Transport {
+        /// Topic name.
+        topic: &'static str,
+        /// iceoryx2's own word.
+        reason: String,
+    },
+}
+
+/// The sending end of a topic. Not `Sync`: one thread publishes.
+#[derive(Debug)]
+pub struct Publisher<H: Traced, E: Element> {
+    topic: &'static str,
+    stage: Option<Stage>,
+    port: Port<ipc::Service, [E], H>,
+    notifier: Notifier<ipc::Service>,
+    maximum_length: usize,
+    next_sequence: u64,
+    stop: Arc<AtomicBool>,
+}
+
+impl<H: Traced, E: Element> Publisher<H, E> {
+    /// Opens `topic` for messages of up to `maximum_length` elements.
+    ///
+    /// `stop` ends the wait of a lossless publisher for a subscriber that takes nothing any more.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionError`] when shared memory is too small, the topic has its publishers already, or its
+    /// layout differs from that of another process.
+    pub fn open(
+        session: &Session,
+        topic: &Topic<H, E>,
+        maximum_length: usize,
+        delivery: Delivery,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, SessionError> {
+        let service = session.topic(topic, delivery)?;
+        let gives_up = stop.clone();
+        let builder = service.publisher_builder().initial_max_slice_len(maximum_length).max_loaned_samples(1);
+        let builder = match delivery {
+            Delivery::Live => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
+            Delivery::Lossless => builder
+                .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+                .set_backpressure_handler(move |_: &BackpressureInfo| {
+                    if gives_up.load(Ordering::Relaxed) {
+                        BackpressureAction::DiscardDataAndFail
+                    } else {
+                        BackpressureAction::Retry
+                    }
+                }),
+        };
+        let port = builder.create().map_err(|error| session.port_error(topic.name, &error))?;
+        let notifier = session
+            .event(topic.name)?
+            .notifier_builder()
+            .create()
+            .map_err(|error| session.port_error(topic.name, &error))?;
+        Ok(Publisher {
+            topic: topic.name,
+            stage: topic.publisher,
+            port,
+            notifier,
+            maximum_length,
+            next_sequence: 0,
+            stop,
+        })
+    }
+
+    /// Publishes one message of `length` elements: loans it in shared memory, lets `fill` write it there,
+    /// stamps it, sends it and wakes the subscribers. Returns when it was published, CLOCK_MONOTONIC ns.
+    ///
+    /// `fill` must write the whole payload: what it leaves untouched is zero or from an earlier message.
+    ///
+    /// # Errors
+    ///
+    /// [`PublishError`]; the message is then not sent and uses up no sequence number.
+    pub fn publish(
+        &mut self,
+        mut header: H,
+        length: usize,
+        fill: impl FnOnce(&mut [E]),
+    ) -> Result<u64, PublishError> {
+        if length > self.maximum_length {
+            return Err(PublishError::TooLong { topic: self.topic, length, maximum: self.maximum_length });
+        }
+        let loan = self.port.loan_slice_uninit(length).map_err(|error| self.transport_error(&error))?;
+        // SAFETY: the memory of a loan is a shared mapping that the kernel zeroed when it was created and
+        // that only messages of this port have been written to since, so it is initialised; and every bit
+        // pattern is a valid `E` by the contract of `Element`.
+        let mut message = unsafe { loan.assume_init() };
+        fill(message.payload_mut());
+        header.trace_mut().sequence = self.next_sequence;
+        let published_ns = now_ns();
+        if let Some(stage) = self.stage {
+            header.trace_mut().published_ns[stage.index()] = published_ns;
+        }
+        *message.user_header_mut() = header;
+        if let Err(error) = message.send() {
+            if self.stop.load(Ordering::Relaxed) {
+                return Err(PublishError::Stopped { topic: self.topic });
+            }
+            return Err(self.transport_error(&error));
+        }
+        self.next_sequence += 1;
+        self.notifier.notify().map_err(|error| self.transport_error(&error))?;
+        Ok(published_ns)
+    }
+
+    /// Messages published so far.
+    pub fn published(&self) -> u64 {
+        self.next_sequence
+    }
+
+    #[cold]
+    fn transport_error(&self, error: &dyn Debug) -> PublishError {
+        PublishError::Transport { topic: self.topic, reason: format!("{error:?}") }
+    }
+}

@@ -1,0 +1,199 @@
+//! The receiving end of a topic.
+
+use core::fmt::Debug;
+use std::os::fd::{AsFd, BorrowedFd};
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::subscriber::Subscriber as Port;
+use iceoryx2::prelude::{FileDescriptorBased, ipc};
+use iceoryx2::sample::Sample;
+use tendon_messages::{Stage, Topic, Trace, Traced};
+
+use crate::clock::now_ns;
+use crate::publisher::Element;
+use crate::session::{Delivery, Session, SessionError};
+
+/// Why nothing could be received.
+#[derive(Debug, thiserror::Error)]
+#[error("topic `{topic}`: cannot receive: {reason}; restart the session")]
+pub struct ReceiveError {
+    /// Topic name.
+    topic: &'static str,
+    /// iceoryx2's own word.
+    reason: String,
+}
+
+/// The receiving end of a topic. Poll it as a file descriptor ([`AsFd`]) for the wake that comes with every
+/// message, then [`Subscriber::receive`] until nothing is left.
+#[derive(Debug)]
+pub struct Subscriber<H: Traced, E: Element> {
+    topic: &'static str,
+    stage: Option<Stage>,
+    port: Port<ipc::Service, [E], H>,
+    listener: Listener<ipc::Service>,
+    gaps: GapCount,
+    received: u64,
+}
+
+impl<H: Traced, E: Element> Subscriber<H, E> {
+    /// Opens `topic` for the stage that consumes it (`None`: an observer, which leaves no stamp).
+    ///
+    /// # Errors
+    ///
+    /// [`SessionError`] when shared memory is too small, the topic has all the subscribers it can have, or
+    /// its layout differs from that of another process.
+    pub fn open(
+        session: &Session,
+        topic: &Topic<H, E>,
+        stage: Option<Stage>,
+        delivery: Delivery,
+    ) -> Result<Self, SessionError> {
+        let port = session
+            .topic(topic, delivery)?
+            .subscriber_builder()
+            .buffer_size(topic.buffer)
+            .create()
+            .map_err(|error| session.port_error(topic.name, &error))?;
+        let listener = session
+            .event(topic.name)?
+            .listener_builder()
+            .create()
+            .map_err(|error| session.port_error(topic.name, &error))?;
+        Ok(Subscriber {
+            topic: topic.name,
+            stage,
+            port,
+            listener,
+            gaps: GapCount::default(),
+            received: 0,
+        })
+    }
+
+    /// Takes back the wakes that have come so far. Call it after the file descriptor became readable and
+    /// before draining with [`Subscriber::receive`], so that no wake is missed.
+    ///
+    /// # Errors
+    ///
+    /// [`ReceiveError`] when the event itself is broken.
+    pub fn acknowledge_wakes(&self) -> Result<(), ReceiveError> {
+        self.listener.try_wait(|_| {}).map(|_| ()).map_err(|error| self.error(&error))
+    }
+
+    /// The next message, stamped as received now; `None` when there is none.
+    ///
+    /// # Errors
+    ///
+    /// [`ReceiveError`] when the publisher's memory cannot be mapped.
+    pub fn receive(&mut self) -> Result<Option<Received<H, E>>, ReceiveError> {
+        let Some(sample) = self.port.receive().map_err(|error| self.error(&error))? else {
+            return Ok(None);
+        };
+        let mut trace = *sample.user_header().trace();
+        if let Some(stage) = self.stage {
+            trace.received_ns[stage.index()] = now_ns();
+        }
+        self.received += 1;
+        let lost_before = self.gaps.take(trace.sequence);
+        Ok(Some(Received { sample, trace, lost_before }))
+    }
+
+    /// Messages received so far.
+    pub fn received(&self) -> u64 {
+        self.received
+    }
+
+    /// Messages lost so far, by gaps in the sequence numbers.
+    pub fn lost(&self) -> u64 {
+        self.gaps.lost
+    }
+
+    #[cold]
+    fn error(&self, error: &dyn Debug) -> ReceiveError {
+        ReceiveError { topic: self.topic, reason: format!("{error:?}") }
+    }
+}
+
+impl<H: Traced, E: Element> AsFd for Subscriber<H, E> {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        // SAFETY: the listener owns the descriptor and keeps it open as long as it lives, and the borrow
+        // cannot outlive `self`, which owns the listener.
+        unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
+    }
+}
+
+/// A message, read in place in shared memory. It goes back to its publisher when dropped: keep it no longer
+/// than needed.
+#[derive(Debug)]
+pub struct Received<H: Traced, E: Element> {
+    sample: Sample<ipc::Service, [E], H>,
+    trace: Trace,
+    lost_before: u64,
+}
+
+impl<H: Traced, E: Element> Received<H, E> {
+    /// The header as sent.
+    pub fn header(&self) -> &H {
+        self.sample.user_header()
+    }
+
+    /// The payload, in shared memory.
+    pub fn payload(&self) -> &[E] {
+        self.sample.payload()
+    }
+
+    /// The trace with this receipt stamped, for the message that follows from this one.
+    pub fn trace(&self) -> Trace {
+        self.trace
+    }
+
+    /// Messages lost between the one before and this one.
+    pub fn lost_before(&self) -> u64 {
+        self.lost_before
+    }
+}
+
+/// Counts what is missing in a row of sequence numbers.
+#[derive(Debug, Default)]
+struct GapCount {
+    next: Option<u64>,
+    lost: u64,
+}
+
+impl GapCount {
+    /// Takes the next sequence number and returns how many are missing before it. The first one counts as
+    /// joined late, a smaller one as a restarted publisher: nothing is missing then.
+    fn take(&mut self, sequence: u64) -> u64 {
+        let missing = self.next.map_or(0, |next| sequence.saturating_sub(next));
+        self.next = Some(sequence + 1);
+        self.lost += missing;
+        missing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::GapCount;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_late_start_and_a_restart_are_no_loss() {
+        let mut gaps = GapCount::default();
+        assert_eq!([7, 8, 0, 1].map(|sequence| gaps.take(sequence)), [0, 0, 0, 0]);
+        assert_eq!(gaps.lost, 0);
+    }
+
+    proptest! {
+        #[test]
+        fn every_sequence_number_left_out_is_counted(kept in prop::collection::vec(any::<bool>(), 1..200)) {
+            let mut gaps = GapCount::default();
+            let sequence: Vec<u64> =
+                kept.iter().enumerate().filter(|(_, kept)| **kept).map(|(index, _)| index as u64).collect();
+            sequence.iter().for_each(|sequence| { gaps.take(*sequence); });
+            let expected = match (sequence.first(), sequence.last()) {
+                (Some(first), Some(last)) => last - first + 1 - sequence.len() as u64,
+                _ => 0,
+            };
+            prop_assert_eq!(gaps.lost, expected);
+        }
+    }
+}
