@@ -1,5 +1,9 @@
 //! Recordings on disk: layouts, what is wrong with them, replay, and the data set made from them.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests, as tests, may fail and print")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests, as tests, may fail and print"
+)]
 
 use std::fs;
 use std::path::{Path, PathBuf};
