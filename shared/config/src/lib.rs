@@ -352,7 +352,11 @@ impl Config {
             Err(ConfigError::Value { key, value, remedy: remedy.to_owned() })
         };
         if !(1..=MAXIMUM_CHANNELS).contains(&acquisition.channels) {
-            return value("acquisition.channels", acquisition.channels.to_string(), "take 1 to 1024 channels");
+            return value(
+                "acquisition.channels",
+                acquisition.channels.to_string(),
+                "take 1 to 1024 channels",
+            );
         }
         if !(100.0..=100_000.0).contains(&acquisition.sample_rate_hz) {
             return value(

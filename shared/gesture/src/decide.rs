@@ -308,8 +308,7 @@ mod tests {
 
     #[test]
     fn damaged_windows_are_rest() {
-        for (probabilities, intact) in
-            [(certain(Gesture::Ulnar), false), ([f32::NAN; Gesture::COUNT], true)]
+        for (probabilities, intact) in [(certain(Gesture::Ulnar), false), ([f32::NAN; Gesture::COUNT], true)]
         {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             for _ in 0..5 {

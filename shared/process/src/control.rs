@@ -101,11 +101,7 @@ impl Control {
     /// # Errors
     ///
     /// When the kernel refuses to poll.
-    pub fn wait(
-        &mut self,
-        input: Option<BorrowedFd<'_>>,
-        deadline_ns: Option<u64>,
-    ) -> anyhow::Result<Wake> {
+    pub fn wait(&mut self, input: Option<BorrowedFd<'_>>, deadline_ns: Option<u64>) -> anyhow::Result<Wake> {
         loop {
             if self.is_stopped() {
                 return Ok(Wake::Stop);

@@ -15,6 +15,7 @@ mod measure;
 mod scheduling;
 
 use std::io::Write;
+use std::os::fd::AsFd;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -22,12 +23,12 @@ use anyhow::Context;
 use clap::Parser;
 use serde::{Deserialize, Serialize};
 use tendon_config::Config;
-use tendon_messages::Stage;
-use tendon_transport::Session;
+use tendon_messages::{Measurement, Stage, Trace, Traced};
+use tendon_transport::{Delivery, Element, Received, Session, Subscriber, now_ns};
 
 pub use control::{Control, Order, Wake};
 pub use measure::Measurements;
-pub use scheduling::{Policy, RealtimeRefused, Scheduling};
+pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 
 /// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older
 /// intentions are no intentions: the person has seen since what the arm did.
@@ -84,6 +85,59 @@ impl StageProcess {
         self.measurements.publish()?;
         let line = serde_json::to_string(&ready).context("cannot say ready")?;
         writeln!(std::io::stdout(), "{line}").context("cannot say ready on standard output")
+    }
+    /// Takes every message of `input` as it comes, until the process is to stop. `take` does the stage's work
+    /// and says what it measured.
+    ///
+    /// # Errors
+    ///
+    /// The first error of `take`, or of the transport.
+    pub fn consume<H: Traced, E: Element>(
+        &mut self,
+        mut input: Subscriber<H, E>,
+        mut take: impl FnMut(&mut StageProcess, Received<H, E>) -> anyhow::Result<Measurement>,
+    ) -> anyhow::Result<()> {
+        loop {
+            match self.control.wait(Some(input.as_fd()), self.measurements.deadline_ns())? {
+                Wake::Stop => break,
+                Wake::Order(_) => {}
+                Wake::Deadline => self.measurements.publish_if_due()?,
+                Wake::Message => {
+                    input.acknowledge_wakes()?;
+                    while !self.control.is_stopped() {
+                        let Some(message) = input.receive()? else { break };
+                        let measurement = match take(self, message) {
+                            // Being stopped while the next stage takes nothing more is no failure.
+                            Err(_) if self.control.is_stopped() => break,
+                            measurement => measurement?,
+                        };
+                        self.measurements.counts.received = input.received();
+                        self.measurements.counts.lost = input.lost();
+                        self.measurements.record(measurement)?;
+                    }
+                }
+            }
+        }
+        self.measurements.publish()
+    }
+
+    /// Whether what was captured then is too old to act upon now. In a lossless replay nothing is: its
+    /// messages wait for each other as long as it takes.
+    pub fn is_stale(&self, trace: &Trace) -> bool {
+        self.config.delivery() == Delivery::Live && now_ns().saturating_sub(trace.captured_ns) > STALE_NS
+    }
+
+    /// Transit and work of a message with this trace, which led to a publication at `published_ns` or to none.
+    pub fn measure(&self, trace: &Trace, published_ns: Option<u64>) -> Measurement {
+        let received_ns = trace.received_ns[self.stage.index()];
+        let sent_ns = self.stage.upstream().map_or(0, |upstream| trace.published_ns[upstream.index()]);
+        Measurement {
+            transit_ns: received_ns.saturating_sub(sent_ns),
+            work_ns: published_ns.unwrap_or_else(now_ns).saturating_sub(received_ns),
+            newest_sample_to_publish_ns: published_ns
+                .map_or(0, |published_ns| published_ns.saturating_sub(trace.captured_ns)),
+            ..Measurement::default()
+        }
     }
 }
 

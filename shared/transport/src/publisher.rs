@@ -125,10 +125,28 @@ impl<H: Traced, E: Element> Publisher<H, E> {
     /// [`PublishError`]; the message is then not sent and uses up no sequence number.
     pub fn publish(
         &mut self,
-        mut header: H,
+        header: H,
         length: usize,
         fill: impl FnOnce(&mut [E]),
     ) -> Result<u64, PublishError> {
+        let published = self.publish_if(length, |payload| {
+            fill(payload);
+            Some(header)
+        })?;
+        Ok(published.expect("the closure above always gives a header, so the message is always sent"))
+    }
+
+    /// As [`Publisher::publish`], for a message whose header is known only once it is filled, or that may
+    /// turn out not to be due: nothing is sent, and `None` returned, when `fill` gives `None`.
+    ///
+    /// # Errors
+    ///
+    /// [`PublishError`]; the message is then not sent and uses up no sequence number.
+    pub fn publish_if(
+        &mut self,
+        length: usize,
+        fill: impl FnOnce(&mut [E]) -> Option<H>,
+    ) -> Result<Option<u64>, PublishError> {
         if length > self.maximum_length {
             return Err(PublishError::TooLong { topic: self.topic, length, maximum: self.maximum_length });
         }
@@ -137,7 +155,9 @@ impl<H: Traced, E: Element> Publisher<H, E> {
         // that only messages of this port have been written to since, so it is initialised; and every bit
         // pattern is a valid `E` by the contract of `Element`.
         let mut message = unsafe { loan.assume_init() };
-        fill(message.payload_mut());
+        let Some(mut header) = fill(message.payload_mut()) else {
+            return Ok(None);
+        };
         header.trace_mut().sequence = self.next_sequence;
         let published_ns = now_ns();
         if let Some(stage) = self.stage {
@@ -152,7 +172,7 @@ impl<H: Traced, E: Element> Publisher<H, E> {
         }
         self.next_sequence += 1;
         self.notifier.notify().map_err(|error| self.transport_error(&error))?;
-        Ok(published_ns)
+        Ok(Some(published_ns))
     }
 
     /// Messages published so far.

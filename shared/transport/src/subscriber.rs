@@ -59,14 +59,7 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
             .listener_builder()
             .create()
             .map_err(|error| session.port_error(topic.name, &error))?;
-        Ok(Subscriber {
-            topic: topic.name,
-            stage,
-            port,
-            listener,
-            gaps: GapCount::default(),
-            received: 0,
-        })
+        Ok(Subscriber { topic: topic.name, stage, port, listener, gaps: GapCount::default(), received: 0 })
     }
 
     /// Takes back the wakes that have come so far. Call it after the file descriptor became readable and

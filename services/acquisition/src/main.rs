@@ -1,0 +1,194 @@
+//! The acquisition process: samples in, blocks out.
+//!
+//! ```text
+//! simulated DAQ ─┐
+//!                ├─▶ fill a block in shared memory ─▶ when it is due: publish
+//! recording ─────┘
+//! ```
+//!
+//! Blocks carry the time they were *due*, not the time they were made: if this process is late, that shows in
+//! every latency. A block that is too late to act upon is left out, and counted, as an amplifier whose buffer
+//! overflows would do.
+
+mod source;
+
+use std::process::ExitCode;
+
+use anyhow::Context;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use tendon_gesture::Gesture;
+use tendon_messages::{BLOCKS, BlockHeader, Measurement, Stage, Trace};
+use tendon_process::{Order, STALE_NS, StageProcess, Wake};
+use tendon_transport::{Delivery, Publisher, now_ns};
+
+use source::Source;
+
+fn main() -> ExitCode {
+    tendon_process::main(Stage::Acquisition, |process| {
+        let source = Source::open(&process.config.acquisition)?;
+        let blocks = Publisher::open(
+            &process.session,
+            &BLOCKS,
+            process.config.block_length(),
+            process.config.delivery(),
+            process.control.stop_flag(),
+        )?;
+        process.ready(&source.describe())?;
+        Ok(move |process: &mut StageProcess| Acquisition::new(process, source, blocks).run(process))
+    })
+}
+
+struct Acquisition {
+    source: Source,
+    blocks: Publisher<BlockHeader, f32>,
+    channels: usize,
+    block_samples: usize,
+    sample_rate_hz: f64,
+    delivery: Delivery,
+    jitter_ns: f64,
+    jitter: Xoshiro256PlusPlus,
+    /// Where blocks go that nobody is to see.
+    discarded: Vec<f32>,
+}
+
+impl Acquisition {
+    fn new(process: &StageProcess, source: Source, blocks: Publisher<BlockHeader, f32>) -> Acquisition {
+        let settings = &process.config.acquisition;
+        Acquisition {
+            source,
+            blocks,
+            channels: settings.channels,
+            block_samples: settings.block_samples,
+            sample_rate_hz: settings.sample_rate_hz,
+            delivery: process.config.delivery(),
+            jitter_ns: settings.simulate.jitter_ms * 1e6,
+            jitter: Xoshiro256PlusPlus::seed_from_u64(settings.simulate.seed),
+            discarded: vec![0.0; process.config.block_length()],
+        }
+    }
+
+    fn run(mut self, process: &mut StageProcess) -> anyhow::Result<()> {
+        if !self.wait_for_start(process)? {
+            return Ok(());
+        }
+        let start_ns = now_ns();
+        let mut block: u64 = 0;
+        loop {
+            // When the block's newest sample is there: computed from the start, so that no error adds up.
+            let samples = (block + 1) * self.block_samples as u64;
+            let due_ns = start_ns + (samples as f64 * 1e9 / self.sample_rate_hz) as u64;
+            if !self.wait_until_due(process, due_ns)? {
+                break;
+            }
+            let first_sample = block * self.block_samples as u64;
+            let went_on = match self.delivery {
+                Delivery::Live if now_ns().saturating_sub(due_ns) > STALE_NS => self.skip(process)?,
+                Delivery::Live => self.publish(process, first_sample, due_ns)?,
+                Delivery::Lossless => self.publish(process, first_sample, now_ns())?,
+            };
+            if !went_on {
+                self.finish(process)?;
+                break;
+            }
+            block += 1;
+        }
+        process.measurements.publish()
+    }
+
+    /// Sleeps until the supervisor says that all stages are ready; `false` when it says stop instead.
+    fn wait_for_start(&mut self, process: &mut StageProcess) -> anyhow::Result<bool> {
+        loop {
+            match process.control.wait(None, None)? {
+                Wake::Stop => return Ok(false),
+                Wake::Order(Order::Start) => return Ok(true),
+                Wake::Order(Order::Gesture(gesture)) => self.source.set_gesture(gesture),
+                Wake::Message | Wake::Deadline => {}
+            }
+        }
+    }
+
+    /// Sleeps until a block is due; `false` when the process is to stop instead. At full speed a block is
+    /// always due.
+    fn wait_until_due(&mut self, process: &mut StageProcess, due_ns: u64) -> anyhow::Result<bool> {
+        let jitter_ns = (self.jitter_ns * self.jitter.random::<f64>()) as u64;
+        let deadline_ns = match self.delivery {
+            Delivery::Live => due_ns + jitter_ns,
+            Delivery::Lossless => 0,
+        };
+        loop {
+            match process.control.wait(None, Some(deadline_ns))? {
+                Wake::Stop => return Ok(false),
+                Wake::Deadline => return Ok(true),
+                Wake::Order(Order::Gesture(gesture)) => self.source.set_gesture(gesture),
+                Wake::Order(Order::Start) | Wake::Message => {}
+            }
+        }
+    }
+
+    /// Publishes the next block; `false` at the end of the source.
+    fn publish(
+        &mut self,
+        process: &mut StageProcess,
+        first_sample: u64,
+        captured_ns: u64,
+    ) -> anyhow::Result<bool> {
+        let mut failure = None;
+        let published_ns = self.blocks.publish_if(self.discarded.len(), |payload| {
+            let truth = match self.source.fill(payload) {
+                Ok(truth) => truth?,
+                Err(error) => {
+                    failure = Some(error);
+                    return None;
+                }
+            };
+            Some(BlockHeader {
+                trace: Trace { captured_ns, ..Trace::default() },
+                first_sample,
+                sample_rate_hz: self.sample_rate_hz,
+                truth,
+                channels: self.channels as u32,
+                samples: self.block_samples as u32,
+                non_finite_samples: payload.iter().filter(|sample| !sample.is_finite()).count() as u32,
+            })
+        })?;
+        if let Some(error) = failure {
+            return Err(error).context("the source failed");
+        }
+        let Some(published_ns) = published_ns else {
+            return Ok(false);
+        };
+        let late_ns = published_ns.saturating_sub(captured_ns);
+        process.measurements.counts.published = self.blocks.published();
+        process.measurements.record(Measurement {
+            work_ns: late_ns,
+            newest_sample_to_publish_ns: late_ns,
+            ..Measurement::default()
+        })?;
+        Ok(true)
+    }
+
+    /// Lets a block go by that is too late to act upon; `false` at the end of the source.
+    fn skip(&mut self, process: &mut StageProcess) -> anyhow::Result<bool> {
+        process.measurements.counts.stale += 1;
+        Ok(self.source.fill(&mut self.discarded)?.is_some())
+    }
+
+    /// Says that the source has come to its end, and waits to be stopped: the memory that others still read
+    /// from lives in this process.
+    fn finish(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
+        process.measurements.counts.finished = 1;
+        process.measurements.publish()?;
+        while process.control.wait(None, None)? != Wake::Stop {}
+        Ok(())
+    }
+}
+
+impl Source {
+    /// The keyboard's gesture; a recording has its own.
+    fn set_gesture(&mut self, gesture: Gesture) {
+        if let Source::Simulate { performance, .. } = self {
+            performance.set_gesture(gesture);
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! The decision process: class probabilities in, commands out, one for every window. The logic itself is
+//! `tendon_gesture::Decider`.
+
+use std::process::ExitCode;
+
+use anyhow::Context;
+use tendon_gesture::{Decider, Decision as Outcome, Evidence, Gesture, GripperTarget};
+use tendon_messages::{
+    Activity, COMMANDS, CommandHeader, GripperCommand, Measurement, NO_GESTURE, PREDICTIONS,
+    PredictionHeader, Stage, TWIST_LENGTH,
+};
+use tendon_process::StageProcess;
+use tendon_transport::{Publisher, Received, Subscriber};
+
+fn main() -> ExitCode {
+    tendon_process::main(Stage::Decision, |process| {
+        let config = &process.config;
+        let delivery = config.delivery();
+        let mut decision = Decision {
+            decider: Decider::new(&config.decision)?,
+            commands: Publisher::open(
+                &process.session,
+                &COMMANDS,
+                TWIST_LENGTH,
+                delivery,
+                process.control.stop_flag(),
+            )?,
+            increment_samples: config.dsp.windows.increment_samples as u64,
+            last_first_sample: None,
+        };
+        let predictions = Subscriber::open(&process.session, &PREDICTIONS, Some(Stage::Decision), delivery)?;
+        process.ready(&format!("strategy {:?}", process.config.decision.strategy).to_lowercase())?;
+        Ok(move |process: &mut StageProcess| {
+            process.consume(predictions, move |process, prediction| decision.take(process, &prediction))
+        })
+    })
+}
+
+struct Decision {
+    decider: Decider,
+    commands: Publisher<CommandHeader, f32>,
+    increment_samples: u64,
+    /// Index of the last window's first sample.
+    last_first_sample: Option<u64>,
+}
+
+impl Decision {
+    fn take(
+        &mut self,
+        process: &mut StageProcess,
+        prediction: &Received<PredictionHeader, f32>,
+    ) -> anyhow::Result<Measurement> {
+        let context = prediction.header().context;
+        let trace = prediction.trace();
+        let probabilities: &[f32; Gesture::COUNT] = prediction
+            .payload()
+            .try_into()
+            .with_context(|| format!("a prediction of {} probabilities", prediction.payload().len()))?;
+        // Windows are missing, whoever left them out: votes from before say nothing about now.
+        let follows = |last: u64| context.first_sample == last + self.increment_samples;
+        if self.last_first_sample.is_some_and(|last| !follows(last)) {
+            self.decider.restart();
+        }
+        self.last_first_sample = Some(context.first_sample);
+        if process.is_stale(&trace) {
+            process.measurements.counts.stale += 1;
+            self.decider.restart();
+            return Ok(process.measure(&trace, None));
+        }
+        let outcome = self.decider.decide(&Evidence {
+            probabilities,
+            moving: Activity::from_number(context.activity) == Activity::Move,
+            intact: context.replaced_samples == 0,
+            captured_ns: sample_time_ns(process, context.first_sample),
+        });
+        let header = CommandHeader {
+            trace,
+            context,
+            confidence: outcome.confidence,
+            gesture: outcome.gesture as u8,
+            voted: outcome.voted as u8,
+            gripper: gripper_command(&outcome) as u8,
+        };
+        let published_ns = self.commands.publish(header, TWIST_LENGTH, |twist| {
+            twist.fill(0.0);
+            for (component, velocity) in twist.iter_mut().zip(outcome.velocity_mm_per_s) {
+                *component = velocity as f32;
+            }
+        })?;
+        process.measurements.counts.published = self.commands.published();
+        Ok(Measurement {
+            window_start_to_publish_ns: published_ns.saturating_sub(context.first_captured_ns),
+            truth: context.gesture_throughout().unwrap_or(NO_GESTURE),
+            gesture: outcome.gesture as u8,
+            ..process.measure(&trace, Some(published_ns))
+        })
+    }
+}
+
+/// Time of a sample on the source's own clock, so that a replay decides the same at any speed.
+fn sample_time_ns(process: &StageProcess, sample: u64) -> u64 {
+    (sample as f64 * 1e9 / process.config.acquisition.sample_rate_hz) as u64
+}
+
+fn gripper_command(outcome: &Outcome) -> GripperCommand {
+    match outcome.gripper {
+        None => GripperCommand::Keep,
+        Some(GripperTarget::Open) => GripperCommand::Open,
+        Some(GripperTarget::Closed) => GripperCommand::Close,
+    }
+}

@@ -1,0 +1,165 @@
+//! The dsp process: blocks in, filtered windows out. The work itself is `tendon_signal::SignalChain`.
+
+use std::process::ExitCode;
+
+use anyhow::ensure;
+use tendon_messages::{
+    Activity, BLOCKS, BlockHeader, Measurement, Stage, Truth, WINDOWS, WindowContext, WindowHeader,
+};
+use tendon_process::StageProcess;
+use tendon_signal::SignalChain;
+use tendon_transport::{Publisher, Received, Subscriber};
+
+fn main() -> ExitCode {
+    tendon_process::main(Stage::Dsp, |process| {
+        let config = &process.config;
+        let acquisition = &config.acquisition;
+        let delivery = config.delivery();
+        let dsp = Dsp {
+            chain: SignalChain::new(&config.dsp, acquisition.channels, acquisition.sample_rate_hz)?,
+            windows: Publisher::open(
+                &process.session,
+                &WINDOWS,
+                config.window_length(),
+                delivery,
+                process.control.stop_flag(),
+            )?,
+            channels: acquisition.channels,
+            sample_rate_hz: acquisition.sample_rate_hz,
+            window_samples: config.dsp.windows.window_samples,
+            next_sample: None,
+            truth_before: Truth::default(),
+            calibrated: false,
+        };
+        let blocks = Subscriber::open(&process.session, &BLOCKS, Some(Stage::Dsp), delivery)?;
+        process.ready(&format!(
+            "windows of {} samples every {}",
+            process.config.dsp.windows.window_samples, process.config.dsp.windows.increment_samples
+        ))?;
+        Ok(move |process: &mut StageProcess| {
+            let mut dsp = dsp;
+            process.consume(blocks, move |process, block| dsp.take(process, &block))
+        })
+    })
+}
+
+struct Dsp {
+    chain: SignalChain,
+    windows: Publisher<WindowHeader, f32>,
+    channels: usize,
+    sample_rate_hz: f64,
+    window_samples: usize,
+    /// Index of the sample that comes next if none is missing.
+    next_sample: Option<u64>,
+    /// The truth at the end of the block before.
+    truth_before: Truth,
+    calibrated: bool,
+}
+
+impl Dsp {
+    fn take(
+        &mut self,
+        process: &mut StageProcess,
+        block: &Received<BlockHeader, f32>,
+    ) -> anyhow::Result<Measurement> {
+        let header = block.header();
+        ensure!(
+            header.channels as usize == self.channels && header.sample_rate_hz == self.sample_rate_hz,
+            "acquisition delivers {} channels at {} Hz, this session has {} at {} Hz: start all processes with \
+             the same configuration",
+            header.channels,
+            header.sample_rate_hz,
+            self.channels,
+            self.sample_rate_hz
+        );
+        let samples = header.samples as usize;
+        ensure!(
+            samples > 0 && block.payload().len() == samples * self.channels,
+            "a block of {} samples a channel holds {} values in all",
+            samples,
+            block.payload().len()
+        );
+        // Lost on the way or skipped by the source; a source that began anew misses nothing but is no
+        // continuation either.
+        if let Some(expected) = self.next_sample.filter(|expected| *expected != header.first_sample) {
+            self.chain.gap(header.first_sample.saturating_sub(expected));
+        }
+        self.next_sample = Some(header.first_sample + samples as u64);
+
+        let mut published_ns = None;
+        let mut from = 0;
+        while from < samples {
+            let push = self.chain.push(block.payload(), from);
+            from += push.consumed;
+            process.measurements.counts.replaced_samples += u64::from(push.replaced_samples);
+            if let Some(window) = push.window {
+                published_ns = self.publish(process, block, &window, from)?.or(published_ns);
+            }
+        }
+        self.truth_before = header.truth;
+        self.report_calibration();
+        Ok(process.measure(&block.trace(), published_ns))
+    }
+
+    /// Publishes the window that ended with sample `end` of `block` (exclusive), unless it is too old.
+    fn publish(
+        &mut self,
+        process: &mut StageProcess,
+        block: &Received<BlockHeader, f32>,
+        window: &tendon_signal::Window,
+        end: usize,
+    ) -> anyhow::Result<Option<u64>> {
+        let header = block.header();
+        let mut trace = block.trace();
+        let duration_ns = |samples: usize| (samples as f64 * 1e9 / self.sample_rate_hz) as u64;
+        // The block's newest sample may be newer than the window's.
+        trace.captured_ns = trace.captured_ns.saturating_sub(duration_ns(header.samples as usize - end));
+        if process.is_stale(&trace) {
+            process.measurements.counts.stale += 1;
+            return Ok(None);
+        }
+        let newest_sample = header.first_sample + end as u64 - 1;
+        let truth = if header.truth.since_sample <= newest_sample { header.truth } else { self.truth_before };
+        let activity = match window.activity {
+            tendon_signal::Activity::Calibrating => Activity::Calibrating,
+            tendon_signal::Activity::Rest => Activity::Rest,
+            tendon_signal::Activity::Move => Activity::Move,
+        };
+        let context = WindowContext {
+            first_sample: newest_sample + 1 - self.window_samples as u64,
+            first_captured_ns: trace.captured_ns.saturating_sub(duration_ns(self.window_samples - 1)),
+            truth,
+            replaced_samples: window.replaced_samples,
+            activity: activity as u8,
+        };
+        let window_header = WindowHeader {
+            trace,
+            context,
+            channels: self.channels as u32,
+            samples: self.window_samples as u32,
+        };
+        let length = self.chain.window_len();
+        let published_ns =
+            self.windows.publish(window_header, length, |payload| self.chain.write_window(payload))?;
+        process.measurements.counts.published = self.windows.published();
+        Ok(Some(published_ns))
+    }
+
+    /// Says once, when the calibration has ended, which channels gave no signal.
+    fn report_calibration(&mut self) {
+        if self.calibrated {
+            return;
+        }
+        let Some(baselines) = self.chain.baselines() else {
+            return;
+        };
+        self.calibrated = true;
+        for (channel, baseline) in baselines.iter().enumerate() {
+            if baseline.sigma <= 0.0 {
+                tracing::warn!(
+                    "channel {channel} was constant during the rest calibration: is its electrode connected?"
+                );
+            }
+        }
+    }
+}

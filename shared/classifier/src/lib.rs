@@ -1,0 +1,179 @@
+//! A trained model in ONNX Runtime, and the contract it carries.
+//!
+//! ```text
+//! model.onnx ─┬─ graph:    window [1, channels, samples] ─▶ z-score ─▶ CNN ─▶ softmax ─▶ [1, classes]
+//!             └─ metadata: channels, rate, window, filter, classes  =  Contract
+//! ```
+//!
+//! A model is refused before its first window if its [`Contract`] does not fit what the session delivers.
+
+mod contract;
+mod locate;
+mod run;
+
+use std::path::{Path, PathBuf};
+
+use ort::session::Session;
+use ort::session::builder::GraphOptimizationLevel;
+use ort::value::ValueType;
+use tendon_gesture::Gesture;
+
+pub use contract::{Contract, Mismatch};
+pub use locate::{model_beside_program, runtime_library};
+
+use run::Runner;
+
+/// Why there is no classifier.
+#[derive(Debug, thiserror::Error)]
+pub enum ClassifierError {
+    /// No runtime library was found.
+    #[error(
+        "ONNX Runtime's library was not found: run scripts/fetch-onnxruntime, or set ORT_DYLIB_PATH or \
+         inference.runtime_library to libonnxruntime.so"
+    )]
+    NoRuntimeLibrary,
+    /// The runtime library cannot be used.
+    #[error(
+        "{}: cannot be used as ONNX Runtime: {reason}; scripts/fetch-onnxruntime fetches the version that fits",
+        path.display()
+    )]
+    RuntimeLibrary {
+        /// The library.
+        path: PathBuf,
+        /// ort's own word.
+        reason: String,
+    },
+    /// No model was found.
+    #[error("the model models/{file} was not found beside the programs: name one with --model FILE")]
+    NoModel {
+        /// The file looked for.
+        file: String,
+    },
+    /// The model cannot be loaded.
+    #[error("{}: cannot be loaded as an ONNX model: {reason}; is the file whole?", path.display())]
+    Model {
+        /// The model.
+        path: PathBuf,
+        /// ONNX Runtime's own word.
+        reason: String,
+    },
+    /// The model says nothing, or nothing sensible, about what it was trained for.
+    #[error("{}: {problem}; export it with models/training/train.py, which writes the metadata", path.display())]
+    Contract {
+        /// The model.
+        path: PathBuf,
+        /// What is missing or wrong.
+        problem: String,
+    },
+    /// A window could not be classified.
+    #[error("the model failed on a window: {reason}")]
+    Run {
+        /// ONNX Runtime's own word.
+        reason: String,
+    },
+}
+
+/// A loaded model, ready to classify windows one by one. Once warm, classifying allocates nothing on our side.
+#[derive(Debug)]
+pub struct Classifier {
+    contract: Contract,
+    runner: Runner,
+    probabilities: [f32; Gesture::COUNT],
+}
+
+impl Classifier {
+    /// Loads ONNX Runtime from `library` and the model at `model`, for one thread.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError`], naming the file and the remedy.
+    pub fn load(library: &Path, model: &Path) -> Result<Classifier, ClassifierError> {
+        let library_error =
+            |reason: String| ClassifierError::RuntimeLibrary { path: library.to_owned(), reason };
+        let environment = ort::init_from(library)
+            .map_err(|error| library_error(error.to_string()))?
+            .with_name("tendon")
+            .with_telemetry(false)
+            .build()
+            .map_err(|error| library_error(error.to_string()))?;
+        let model_error =
+            |reason: String| ClassifierError::Model { path: model.to_owned(), reason: one_line(&reason) };
+        if !model.is_file() {
+            return Err(model_error("there is no such file".to_owned()));
+        }
+        let session = Session::builder(&environment)
+            .map_err(|error| model_error(error.to_string()))?
+            .with_intra_threads(1)
+            .map_err(|error| model_error(error.to_string()))?
+            .with_inter_threads(1)
+            .map_err(|error| model_error(error.to_string()))?
+            .with_optimization_level(GraphOptimizationLevel::Level3)
+            .map_err(|error| model_error(error.to_string()))?
+            .commit_from_file(model)
+            .map_err(|error| model_error(error.to_string()))?;
+        let contract_error = |problem: String| ClassifierError::Contract { path: model.to_owned(), problem };
+        let contract = {
+            let metadata = session.metadata().map_err(|error| model_error(error.to_string()))?;
+            Contract::read(|key| metadata.custom(key)).map_err(contract_error)?
+        };
+        let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
+        let shape = [1, contract.channels as i64, contract.window_samples as i64];
+        let runner = Runner::new(environment, session, [&input, &output], shape, contract.classes.len())
+            .map_err(|error| model_error(error.to_string()))?;
+        Ok(Classifier { contract, runner, probabilities: [0.0; Gesture::COUNT] })
+    }
+
+    /// What the model was trained for.
+    pub fn contract(&self) -> &Contract {
+        &self.contract
+    }
+
+    /// Classifies one window, channel-major `[channels × samples]`, which is read in place. Returns the
+    /// probability of every gesture by class number, 0 for those that the model does not know.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::Run`] when the window has another length than the contract says, or ONNX Runtime
+    /// fails.
+    pub fn classify(&mut self, window: &[f32]) -> Result<&[f32; Gesture::COUNT], ClassifierError> {
+        let outputs = self.runner.run(window).map_err(|reason| ClassifierError::Run { reason })?;
+        for (gesture, probability) in self.contract.classes.iter().zip(outputs) {
+            self.probabilities[gesture.index()] = *probability;
+        }
+        Ok(&self.probabilities)
+    }
+}
+
+/// Names of the model's one input and one output, if their shapes are what the contract says.
+fn names_of_tensors(session: &Session, contract: &Contract) -> Result<(String, String), String> {
+    let [input] = session.inputs() else {
+        return Err(format!("the model has {} inputs instead of one", session.inputs().len()));
+    };
+    let [output] = session.outputs() else {
+        return Err(format!("the model has {} outputs instead of one", session.outputs().len()));
+    };
+    let fits = |dtype: &ValueType, wanted: &[i64]| match dtype {
+        ValueType::Tensor { ty: ort::value::TensorElementType::Float32, shape, .. } => {
+            shape.len() == wanted.len()
+                && shape.iter().zip(wanted).all(|(actual, wanted)| *actual < 0 || actual == wanted)
+        }
+        _ => false,
+    };
+    let window = [1, contract.channels as i64, contract.window_samples as i64];
+    if !fits(input.dtype(), &window) {
+        return Err(format!("the input is {:?}, not float32 {window:?} as the metadata say", input.dtype()));
+    }
+    let classes = [1, contract.classes.len() as i64];
+    if !fits(output.dtype(), &classes) {
+        return Err(format!(
+            "the output is {:?}, not float32 {classes:?} as the metadata say",
+            output.dtype()
+        ));
+    }
+    Ok((input.name().to_owned(), output.name().to_owned()))
+}
+
+/// ONNX Runtime's messages come with line breaks; an error of ours is one sentence.
+fn one_line(message: &str) -> String {
+    message.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,44 @@
+//! Where the runtime library and the models that come with Tendon are.
+
+use std::path::{Path, PathBuf};
+
+use crate::ClassifierError;
+
+/// Where `scripts/fetch-onnxruntime` puts the library, from the top of the project.
+const FETCHED_LIBRARY: &str = ".cache/onnxruntime/libonnxruntime.so";
+
+/// The runtime library to use: `configured`, else `ORT_DYLIB_PATH`, else `libonnxruntime.so` beside the
+/// program, else what `scripts/fetch-onnxruntime` fetched in a folder above the program.
+///
+/// # Errors
+///
+/// [`ClassifierError::NoRuntimeLibrary`], or [`ClassifierError::RuntimeLibrary`] when the one that was named
+/// is not there.
+pub fn runtime_library(configured: Option<&Path>) -> Result<PathBuf, ClassifierError> {
+    let from_environment = || std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty());
+    if let Some(named) = configured.map(Path::to_owned).or_else(|| from_environment().map(PathBuf::from)) {
+        return if named.is_file() {
+            Ok(named)
+        } else {
+            Err(ClassifierError::RuntimeLibrary { path: named, reason: "there is no such file".to_owned() })
+        };
+    }
+    find_above_program("libonnxruntime.so")
+        .or_else(|| find_above_program(FETCHED_LIBRARY))
+        .ok_or(ClassifierError::NoRuntimeLibrary)
+}
+
+/// The model `models/{file}` in a folder above the program.
+///
+/// # Errors
+///
+/// [`ClassifierError::NoModel`].
+pub fn model_beside_program(file: &str) -> Result<PathBuf, ClassifierError> {
+    find_above_program(&format!("models/{file}"))
+        .ok_or_else(|| ClassifierError::NoModel { file: file.to_owned() })
+}
+
+fn find_above_program(relative: &str) -> Option<PathBuf> {
+    let program = std::env::current_exe().ok()?;
+    program.ancestors().skip(1).map(|folder| folder.join(relative)).find(|path| path.is_file())
+}

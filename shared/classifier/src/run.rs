@@ -1,0 +1,165 @@
+//! One run of a model on memory that is not ours.
+//!
+//! ort's safe interface allocates names, maps and reference counts for every run, and cannot take a new
+//! input address without doing so. The path of a sample must not allocate, and the window must be read where
+//! it lies, in shared memory; so the one call that does this goes to ONNX Runtime's C interface directly.
+
+use std::ffi::{CStr, CString, c_void};
+use std::fmt;
+use std::ptr::{null, null_mut};
+
+use ort::AsPointer;
+use ort::environment::Environment;
+use ort::memory::{AllocationDevice, AllocatorType, MemoryInfo, MemoryType};
+use ort::session::Session;
+use ort::sys;
+
+/// A session with everything that a run needs, made beforehand.
+pub(crate) struct Runner {
+    input_name: CString,
+    output_name: CString,
+    shape: [i64; 3],
+    window_length: usize,
+    outputs: Box<[f32]>,
+    /// Tensor over `outputs`.
+    output_tensor: Tensor,
+    memory: MemoryInfo<'static>,
+    session: Session,
+    /// The session works only as long as its environment lives.
+    _environment: Environment,
+}
+
+impl fmt::Debug for Runner {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.debug_struct("Runner").field("shape", &self.shape).finish_non_exhaustive()
+    }
+}
+
+impl Runner {
+    pub(crate) fn new(
+        environment: Environment,
+        session: Session,
+        [input_name, output_name]: [&str; 2],
+        shape: [i64; 3],
+        classes: usize,
+    ) -> Result<Runner, String> {
+        let memory = MemoryInfo::new(AllocationDevice::CPU, 0, AllocatorType::Device, MemoryType::Default)
+            .map_err(|error| error.to_string())?;
+        let name = |name: &str| CString::new(name).map_err(|error| error.to_string());
+        let mut outputs = vec![0.0; classes].into_boxed_slice();
+        // SAFETY: the boxed slice keeps its address when moved into the runner, outlives the tensor there, and
+        // is only read or written by others between runs.
+        let output_tensor = unsafe { Tensor::over(&memory, &mut outputs, &[1, classes as i64]) }?;
+        Ok(Runner {
+            input_name: name(input_name)?,
+            output_name: name(output_name)?,
+            shape,
+            window_length: shape.iter().product::<i64>() as usize,
+            outputs,
+            output_tensor,
+            memory,
+            session,
+            _environment: environment,
+        })
+    }
+
+    /// Runs the model on `window` where it lies; returns the outputs.
+    pub(crate) fn run(&mut self, window: &[f32]) -> Result<&[f32], String> {
+        if window.len() != self.window_length {
+            return Err(format!("a window of {} samples instead of {}", window.len(), self.window_length));
+        }
+        // SAFETY: ONNX Runtime only reads inputs; the tensor is dropped at the end of this function, before
+        // the borrow of `window` ends.
+        let input = unsafe { Tensor::over_input(&self.memory, window, &self.shape) }?;
+        let input_names = [self.input_name.as_ptr()];
+        let inputs = [input.0.cast_const()];
+        let output_names = [self.output_name.as_ptr()];
+        let mut outputs = [self.output_tensor.0];
+        // SAFETY: the session and both tensors are alive; each array has as many elements as its count says;
+        // the names end in NUL; without run options the defaults hold. `&mut self` keeps a second run away
+        // from the output.
+        let status = unsafe {
+            (ort::api().Run)(
+                self.session.ptr().cast_mut(),
+                null(),
+                input_names.as_ptr(),
+                inputs.as_ptr(),
+                1,
+                output_names.as_ptr(),
+                1,
+                outputs.as_mut_ptr(),
+            )
+        };
+        check(status)?;
+        Ok(&self.outputs)
+    }
+}
+
+/// A tensor over memory of somebody else.
+struct Tensor(*mut sys::OrtValue);
+
+impl Tensor {
+    /// # Safety
+    ///
+    /// `values` must stay where it is and alive as long as the tensor is used.
+    unsafe fn over(memory: &MemoryInfo<'_>, values: &mut [f32], shape: &[i64]) -> Result<Tensor, String> {
+        // SAFETY: passed on to the caller.
+        unsafe { Tensor::at(memory, values.as_mut_ptr().cast(), size_of_val(values), shape) }
+    }
+
+    /// # Safety
+    ///
+    /// As [`Tensor::over`], and the tensor must only be used as an input, which is never written to.
+    unsafe fn over_input(memory: &MemoryInfo<'_>, values: &[f32], shape: &[i64]) -> Result<Tensor, String> {
+        // SAFETY: passed on to the caller.
+        unsafe { Tensor::at(memory, values.as_ptr().cast_mut().cast(), size_of_val(values), shape) }
+    }
+
+    /// # Safety
+    ///
+    /// `values` must point to `bytes` bytes of f32 that live as long as the tensor is used.
+    unsafe fn at(
+        memory: &MemoryInfo<'_>,
+        values: *mut c_void,
+        bytes: usize,
+        shape: &[i64],
+    ) -> Result<Tensor, String> {
+        let mut tensor = null_mut();
+        // SAFETY: `memory` and `shape` are alive for the call, `values` by the caller's promise, and `tensor`
+        // receives the pointer.
+        let status = unsafe {
+            (ort::api().CreateTensorWithDataAsOrtValue)(
+                memory.ptr(),
+                values,
+                bytes,
+                shape.as_ptr(),
+                shape.len(),
+                sys::ONNXTensorElementDataType::ONNX_TENSOR_ELEMENT_DATA_TYPE_FLOAT,
+                &raw mut tensor,
+            )
+        };
+        check(status)?;
+        Ok(Tensor(tensor))
+    }
+}
+
+impl Drop for Tensor {
+    fn drop(&mut self) {
+        // SAFETY: the pointer came from ONNX Runtime and is released once, here.
+        unsafe { (ort::api().ReleaseValue)(self.0) }
+    }
+}
+
+/// Turns ONNX Runtime's status into a result.
+fn check(status: sys::OrtStatusPtr) -> Result<(), String> {
+    if status.0.is_null() {
+        return Ok(());
+    }
+    // SAFETY: a status that is not null is a live error object with a NUL-terminated message; it is ours to
+    // release, once, after the message was copied.
+    unsafe {
+        let message = CStr::from_ptr((ort::api().GetErrorMessage)(status.0)).to_string_lossy().into_owned();
+        (ort::api().ReleaseStatus)(status.0);
+        Err(message)
+    }
+}

@@ -1,0 +1,18 @@
+//! Histograms of every hop and stage, and the report of a session.
+//!
+//! ```text
+//! measurements of every stage ─▶ SessionMeasurements ─┬─▶ Report ─▶ table, JSON
+//!                                                     └─▶ interval log (hdrhistogram's standard format)
+//! ```
+//!
+//! Three latencies are kept apart: *transit* (publish to receive, a hop), *work* (receive to publish, a
+//! stage) and the algorithmic one, which the window's length sets and *window start to command* includes.
+#![forbid(unsafe_code)]
+
+mod measurements;
+mod report;
+
+pub use measurements::{Counts, SessionMeasurements, Summary};
+pub use report::{
+    GestureRecognition, Hop, LatencySummary, MessageCounts, Recognition, Report, WindowStartSummary, Work,
+};

@@ -1,0 +1,263 @@
+//! What all stages of a session measured, as histograms.
+
+use hdrhistogram::Histogram;
+use hdrhistogram::serialization::Serializer;
+use hdrhistogram::serialization::interval_log::IntervalLogWriter;
+use std::io::Write;
+use std::time::Duration;
+
+use tendon_gesture::Gesture;
+use tendon_messages::{Measurement, MeasurementHeader, STAGE_COUNT, Stage};
+
+/// Longest duration a histogram tells apart from longer ones, ns.
+const LONGEST_NS: u64 = 60_000_000_000;
+/// Significant digits of a histogram's values.
+const SIGNIFICANT_DIGITS: u8 = 3;
+
+/// A stage's counts since the session began, over restarts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Messages received.
+    pub received: u64,
+    /// Messages published on its own topic.
+    pub published: u64,
+    /// Messages lost on the way to the stage.
+    pub lost: u64,
+    /// Messages not acted on because they were too old; at the source: blocks it skipped.
+    pub stale: u64,
+    /// NaN and infinite samples replaced.
+    pub replaced_samples: u64,
+}
+
+impl Counts {
+    fn plus(self, header: &MeasurementHeader) -> Counts {
+        Counts {
+            received: self.received + header.received,
+            published: self.published + header.published,
+            lost: self.lost + header.lost,
+            stale: self.stale + header.stale,
+            replaced_samples: self.replaced_samples + header.replaced_samples,
+        }
+    }
+}
+
+/// Mean and standard deviation of durations, exact, and their histogram.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    /// The durations in ns.
+    pub histogram: Histogram<u64>,
+    mean_ns: f64,
+    squares: f64,
+}
+
+impl Summary {
+    fn new() -> Summary {
+        Summary { histogram: new_histogram(), mean_ns: 0.0, squares: 0.0 }
+    }
+
+    /// Welford's running mean and sum of squared deviations (Knuth, The Art of Computer Programming 2, 4.2.2).
+    fn record(&mut self, duration_ns: u64) {
+        self.histogram.saturating_record(duration_ns);
+        let deviation = duration_ns as f64 - self.mean_ns;
+        self.mean_ns += deviation / self.histogram.len() as f64;
+        self.squares += deviation * (duration_ns as f64 - self.mean_ns);
+    }
+
+    /// Mean in ns, 0 of nothing.
+    pub fn mean_ns(&self) -> f64 {
+        self.mean_ns
+    }
+
+    /// Standard deviation in ns (of the sample), 0 of less than two.
+    pub fn standard_deviation_ns(&self) -> f64 {
+        let count = self.histogram.len();
+        if count < 2 { 0.0 } else { (self.squares / (count - 1) as f64).sqrt() }
+    }
+}
+
+#[derive(Clone, Debug)]
+struct StageMeasurements {
+    transit: Histogram<u64>,
+    work: Histogram<u64>,
+    process_id: u64,
+    before_restart: Counts,
+    newest: MeasurementHeader,
+}
+
+/// What all stages of a session measured.
+#[derive(Clone, Debug)]
+pub struct SessionMeasurements {
+    stages: [StageMeasurements; STAGE_COUNT],
+    /// Capture of the newest sample to the command's publication.
+    pub newest_sample_to_command: Histogram<u64>,
+    /// Capture of the window's first sample to the command's publication: the paper's latency.
+    pub window_start_to_command: Summary,
+    /// Windows by true and by recognised gesture, of those that lie wholly inside one gesture.
+    pub recognised: [[u64; Gesture::COUNT]; Gesture::COUNT],
+}
+
+fn new_histogram() -> Histogram<u64> {
+    Histogram::new_with_bounds(1, LONGEST_NS, SIGNIFICANT_DIGITS)
+        .expect("the bounds are constants that hdrhistogram accepts: tested")
+}
+
+impl Default for SessionMeasurements {
+    fn default() -> Self {
+        let stage = || StageMeasurements {
+            transit: new_histogram(),
+            work: new_histogram(),
+            process_id: 0,
+            before_restart: Counts::default(),
+            newest: MeasurementHeader::default(),
+        };
+        SessionMeasurements {
+            stages: std::array::from_fn(|_| stage()),
+            newest_sample_to_command: new_histogram(),
+            window_start_to_command: Summary::new(),
+            recognised: Default::default(),
+        }
+    }
+}
+
+impl SessionMeasurements {
+    /// Takes a batch of a stage's measurements. Batches of a stage that does not exist are passed over.
+    pub fn absorb(&mut self, header: &MeasurementHeader, batch: &[Measurement]) {
+        let Some(stage) = Stage::from_index(header.stage.into()) else {
+            return;
+        };
+        let kept = &mut self.stages[stage.index()];
+        if kept.process_id != header.process_id {
+            kept.before_restart = kept.before_restart.plus(&kept.newest);
+            kept.process_id = header.process_id;
+        }
+        kept.newest = *header;
+        for measurement in batch {
+            if stage.upstream().is_some() {
+                kept.transit.saturating_record(measurement.transit_ns);
+            }
+            kept.work.saturating_record(measurement.work_ns);
+            if stage == Stage::Decision && measurement.newest_sample_to_publish_ns > 0 {
+                self.newest_sample_to_command.saturating_record(measurement.newest_sample_to_publish_ns);
+                self.window_start_to_command.record(measurement.window_start_to_publish_ns);
+                let truth = self.recognised.get_mut(usize::from(measurement.truth));
+                if let Some(count) = truth.and_then(|row| row.get_mut(usize::from(measurement.gesture))) {
+                    *count += 1;
+                }
+            }
+        }
+    }
+
+    /// A stage's counts, over restarts.
+    pub fn counts(&self, stage: Stage) -> Counts {
+        let kept = &self.stages[stage.index()];
+        kept.before_restart.plus(&kept.newest)
+    }
+
+    /// Upstream's publish to this stage's receive.
+    pub fn transit(&self, stage: Stage) -> &Histogram<u64> {
+        &self.stages[stage.index()].transit
+    }
+
+    /// Receive to publish.
+    pub fn work(&self, stage: Stage) -> &Histogram<u64> {
+        &self.stages[stage.index()].work
+    }
+
+    /// Whether the source has come to its end and everything it published has gone all the way: every stage
+    /// has taken what the one before published.
+    pub fn is_drained(&self) -> bool {
+        let finished = self.stages[Stage::Acquisition.index()].newest.finished != 0;
+        finished
+            && Stage::ALL.iter().all(|stage| {
+                stage.upstream().is_none_or(|upstream| {
+                    let taken = self.counts(*stage);
+                    taken.received + taken.lost >= self.counts(upstream).published
+                })
+            })
+    }
+
+    /// Writes all histograms as one interval of an hdrhistogram log, one tag a hop and stage.
+    ///
+    /// # Errors
+    ///
+    /// When the log cannot be written.
+    pub fn write_interval<W: Write, S: Serializer>(
+        &self,
+        log: &mut IntervalLogWriter<'_, '_, W, S>,
+        start: Duration,
+        length: Duration,
+    ) -> std::io::Result<()> {
+        let transits = Stage::ALL
+            .into_iter()
+            .filter_map(|stage| Some((format!("{}-to-{}", stage.upstream()?.name(), stage.name()), stage)))
+            .map(|(name, stage)| (name, self.transit(stage)));
+        let works = Stage::ALL.into_iter().map(|stage| (format!("{}-work", stage.name()), self.work(stage)));
+        let whole = [
+            ("newest-sample-to-command".to_owned(), &self.newest_sample_to_command),
+            ("window-start-to-command".to_owned(), &self.window_start_to_command.histogram),
+        ];
+        for (name, histogram) in transits.chain(works).chain(whole) {
+            let tag = hdrhistogram::serialization::interval_log::Tag::new(&name);
+            log.write_histogram(histogram, start, length, tag)
+                .map_err(|error| std::io::Error::other(format!("{error:?}")))?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(stage: Stage, process_id: u64, received: u64, published: u64) -> MeasurementHeader {
+        MeasurementHeader {
+            stage: stage.index() as u8,
+            process_id,
+            received,
+            published,
+            ..MeasurementHeader::default()
+        }
+    }
+
+    #[test]
+    fn mean_and_deviation_are_exact() {
+        let mut summary = Summary::new();
+        [300_100_000, 300_200_000, 300_600_000].iter().for_each(|duration| summary.record(*duration));
+        assert!((summary.mean_ns() - 300_300_000.0).abs() < 1e-3);
+        // numpy.std([300.1, 300.2, 300.6], ddof=1) = 0.2645751311 ms
+        assert!((summary.standard_deviation_ns() - 264_575.131_1).abs() < 1e-3);
+    }
+
+    #[test]
+    fn counts_add_up_over_a_restart() {
+        let mut session = SessionMeasurements::default();
+        session.absorb(&header(Stage::Dsp, 1, 10, 2), &[]);
+        session.absorb(&header(Stage::Dsp, 1, 20, 3), &[]);
+        session.absorb(&header(Stage::Dsp, 2, 5, 1), &[]);
+        assert_eq!(session.counts(Stage::Dsp), Counts { received: 25, published: 4, ..Counts::default() });
+    }
+
+    #[test]
+    fn a_session_is_drained_when_every_stage_has_taken_everything() {
+        let mut session = SessionMeasurements::default();
+        for stage in Stage::ALL {
+            session.absorb(&header(stage, 1, 7, 7), &[]);
+        }
+        assert!(!session.is_drained(), "the source goes on");
+        session.absorb(&MeasurementHeader { finished: 1, ..header(Stage::Acquisition, 1, 0, 8) }, &[]);
+        assert!(!session.is_drained(), "a block is under way");
+        session.absorb(&header(Stage::Dsp, 1, 8, 7), &[]);
+        assert!(session.is_drained());
+    }
+
+    #[test]
+    fn what_no_stage_of_ours_sent_is_passed_over() {
+        let mut session = SessionMeasurements::default();
+        let wild =
+            Measurement { truth: 77, gesture: 200, newest_sample_to_publish_ns: 5, ..Measurement::default() };
+        session.absorb(&MeasurementHeader { stage: 9, ..MeasurementHeader::default() }, &[wild]);
+        session.absorb(&header(Stage::Decision, 1, 1, 1), &[wild]);
+        assert_eq!(session.recognised, <[[u64; 6]; 6]>::default());
+        assert_eq!(session.newest_sample_to_command.len(), 1);
+    }
+}

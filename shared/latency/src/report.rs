@@ -1,0 +1,393 @@
+//! The report of a session: as JSON with stable keys, and as a table for people.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
+use tendon_gesture::Gesture;
+use tendon_messages::Stage;
+
+use crate::measurements::SessionMeasurements;
+
+/// What `tendon run` reports. The JSON keys are a contract with other programs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Session name.
+    pub session: String,
+    /// How long samples flowed, s.
+    pub duration_s: f64,
+    /// `simulate` or `replay`.
+    pub source: String,
+    /// `simulate`.
+    pub robot: String,
+    /// File of the model.
+    pub model: String,
+    /// `threshold` or `direct`.
+    pub strategy: String,
+    /// What the kernel granted, by stage.
+    pub scheduling: BTreeMap<String, String>,
+    /// Transit of every hop.
+    pub hops: Vec<Hop>,
+    /// Work of every stage.
+    pub work: Vec<Work>,
+    /// Capture of the newest sample to the command's publication.
+    pub newest_sample_to_command: LatencySummary,
+    /// Capture of the window's first sample to the command's publication.
+    pub window_start_to_command: WindowStartSummary,
+    /// Messages published and lost, by topic.
+    pub messages: BTreeMap<String, MessageCounts>,
+    /// Samples that were NaN or infinite and replaced.
+    pub replaced_samples: u64,
+    /// How well gestures were recognised, by the truth that travels beside the samples.
+    pub recognition: Recognition,
+    /// How much faster than the recording a replay at full speed went: seconds of samples per second.
+    /// Missing for a live session.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub replay_x_real_time: Option<f64>,
+    /// Stages restarted.
+    pub restarts: u64,
+    /// Processor time of every process, s; that of `tendon` itself as `supervisor`.
+    pub cpu_s: BTreeMap<String, f64>,
+    /// Proportional resident memory of every process, MB (shared pages are divided among those who share).
+    pub memory_mb: BTreeMap<String, f64>,
+    /// Where the arm ended, mm in its base frame.
+    pub final_position_mm: [f64; 3],
+}
+
+/// Transit of a hop.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Hop {
+    /// The stage that published.
+    pub from: String,
+    /// The stage that received.
+    pub to: String,
+    /// Publish to receive.
+    #[serde(flatten)]
+    pub transit: LatencySummary,
+}
+
+/// Work of a stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Work {
+    /// The stage.
+    pub stage: String,
+    /// Receive to publish.
+    #[serde(flatten)]
+    pub work: LatencySummary,
+}
+
+/// Count and percentiles of durations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LatencySummary {
+    /// How many.
+    pub count: u64,
+    /// Median, µs.
+    pub p50_us: f64,
+    /// 99th percentile, µs.
+    pub p99_us: f64,
+    /// 99.9th percentile, µs.
+    pub p999_us: f64,
+    /// Longest, µs.
+    pub max_us: f64,
+}
+
+impl LatencySummary {
+    /// Summary of a histogram in ns.
+    pub fn of(histogram: &Histogram<u64>) -> LatencySummary {
+        let us = |ns: u64| ns as f64 / 1e3;
+        LatencySummary {
+            count: histogram.len(),
+            p50_us: us(histogram.value_at_quantile(0.5)),
+            p99_us: us(histogram.value_at_quantile(0.99)),
+            p999_us: us(histogram.value_at_quantile(0.999)),
+            max_us: us(histogram.max()),
+        }
+    }
+}
+
+/// The paper's latency: window start to command sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WindowStartSummary {
+    /// How many.
+    pub count: u64,
+    /// Mean, ms.
+    pub mean_ms: f64,
+    /// Standard deviation, ms.
+    pub sd_ms: f64,
+    /// Shortest, ms.
+    pub min_ms: f64,
+    /// Median, ms.
+    pub median_ms: f64,
+    /// Longest, ms.
+    pub max_ms: f64,
+}
+
+/// Messages of a topic.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MessageCounts {
+    /// Published.
+    pub published: u64,
+    /// Lost before the next stage took them.
+    pub lost: u64,
+    /// Taken by the next stage but too old to act on.
+    pub stale: u64,
+}
+
+/// How well gestures were recognised, window by window, before the vote. Only windows that lie wholly inside
+/// one gesture (or rest) count.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Recognition {
+    /// Windows.
+    pub windows: u64,
+    /// Of these, recognised.
+    pub correct: u64,
+    /// By true gesture.
+    pub per_gesture: BTreeMap<String, GestureRecognition>,
+}
+
+/// How well one gesture was recognised.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct GestureRecognition {
+    /// Windows.
+    pub windows: u64,
+    /// Of these, recognised.
+    pub correct: u64,
+    /// Windows by recognised gesture.
+    pub recognised_as: BTreeMap<String, u64>,
+}
+
+impl Recognition {
+    fn of(recognised: &[[u64; Gesture::COUNT]; Gesture::COUNT]) -> Recognition {
+        let mut recognition = Recognition::default();
+        for (truth, row) in Gesture::ALL.into_iter().zip(recognised) {
+            let windows: u64 = row.iter().sum();
+            if windows == 0 {
+                continue;
+            }
+            let correct = row[truth.index()];
+            recognition.windows += windows;
+            recognition.correct += correct;
+            let recognised_as = Gesture::ALL
+                .into_iter()
+                .zip(row)
+                .filter(|(_, count)| **count > 0)
+                .map(|(gesture, count)| (gesture.name().to_owned(), *count))
+                .collect();
+            recognition
+                .per_gesture
+                .insert(truth.name().to_owned(), GestureRecognition { windows, correct, recognised_as });
+        }
+        recognition
+    }
+
+    fn percent(correct: u64, windows: u64) -> f64 {
+        100.0 * correct as f64 / windows.max(1) as f64
+    }
+}
+
+/// Topic that a stage publishes.
+fn topic(stage: Stage) -> &'static str {
+    match stage {
+        Stage::Acquisition => "blocks",
+        Stage::Dsp => "windows",
+        Stage::Inference => "predictions",
+        Stage::Decision => "commands",
+        Stage::Robot => "states",
+    }
+}
+
+impl Report {
+    /// Puts in everything that the stages measured; what only the supervisor knows stays as it is.
+    pub fn measured(self, measurements: &SessionMeasurements) -> Report {
+        let milliseconds = |ns: f64| ns / 1e6;
+        let window = &measurements.window_start_to_command;
+        let histogram = &window.histogram;
+        let hops = Stage::ALL.into_iter().filter_map(|stage| {
+            Some(Hop {
+                from: stage.upstream()?.name().to_owned(),
+                to: stage.name().to_owned(),
+                transit: LatencySummary::of(measurements.transit(stage)),
+            })
+        });
+        let work = Stage::ALL.into_iter().map(|stage| Work {
+            stage: stage.name().to_owned(),
+            work: LatencySummary::of(measurements.work(stage)),
+        });
+        let messages = Stage::ALL.into_iter().filter_map(|stage| {
+            let upstream = stage.upstream()?;
+            let taken = measurements.counts(stage);
+            let counts = MessageCounts {
+                published: measurements.counts(upstream).published,
+                lost: taken.lost,
+                stale: taken.stale,
+            };
+            Some((topic(upstream).to_owned(), counts))
+        });
+        Report {
+            hops: hops.collect(),
+            work: work.collect(),
+            newest_sample_to_command: LatencySummary::of(&measurements.newest_sample_to_command),
+            window_start_to_command: WindowStartSummary {
+                count: histogram.len(),
+                mean_ms: milliseconds(window.mean_ns()),
+                sd_ms: milliseconds(window.standard_deviation_ns()),
+                min_ms: milliseconds(if histogram.is_empty() { 0 } else { histogram.min() } as f64),
+                median_ms: milliseconds(histogram.value_at_quantile(0.5) as f64),
+                max_ms: milliseconds(histogram.max() as f64),
+            },
+            messages: messages.collect(),
+            replaced_samples: measurements.counts(Stage::Dsp).replaced_samples,
+            recognition: Recognition::of(&measurements.recognised),
+            ..self
+        }
+    }
+
+    /// The report as a table for people.
+    pub fn table(&self) -> String {
+        let mut table = String::new();
+        self.write_table(&mut table).expect("writing to a String cannot fail");
+        table
+    }
+
+    fn write_table(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(out, "{:<34}{:>9}{:>11}{:>11}{:>11}{:>11}", "", "messages", "p50", "p99", "p99.9", "max")?;
+        let row = |out: &mut String, name: &str, latency: &LatencySummary| {
+            let LatencySummary { count, p50_us, p99_us, p999_us, max_us } = latency;
+            writeln!(
+                out,
+                "  {name:<32}{count:>9}{p50_us:>8.0} us{p99_us:>8.0} us{p999_us:>8.0} us{max_us:>8.0} us"
+            )
+        };
+        writeln!(out, "transit (publish to receive)")?;
+        for hop in &self.hops {
+            row(out, &format!("{} to {}", hop.from, hop.to), &hop.transit)?;
+        }
+        writeln!(out, "work (receive to publish)")?;
+        for work in &self.work {
+            row(out, &work.stage, &work.work)?;
+        }
+        writeln!(out, "whole path")?;
+        row(out, "newest sample to command", &self.newest_sample_to_command)?;
+        let window = &self.window_start_to_command;
+        writeln!(
+            out,
+            "  window start to command: mean {:.1} ms, sd {:.2}, min {:.1}, median {:.1}, max {:.1} \
+             (the paper: mean 324, sd 14.6, min 297, median 326, max 356)",
+            window.mean_ms, window.sd_ms, window.min_ms, window.median_ms, window.max_ms
+        )?;
+        write!(out, "messages")?;
+        for topic in ["blocks", "windows", "predictions", "commands"] {
+            let counts = self.messages.get(topic).copied().unwrap_or_default();
+            write!(out, "  {topic} {} (lost {}, stale {})", counts.published, counts.lost, counts.stale)?;
+        }
+        writeln!(out)?;
+        if self.replaced_samples > 0 {
+            writeln!(out, "samples  {} were NaN or infinite and were replaced", self.replaced_samples)?;
+        }
+        self.write_recognition(out)?;
+        let total: f64 = self.cpu_s.values().sum();
+        write!(out, "processor  {:.1} % of one core:", 100.0 * total / self.duration_s.max(1e-9))?;
+        for (process, seconds) in &self.cpu_s {
+            write!(out, "  {process} {:.2}", 100.0 * seconds / self.duration_s.max(1e-9))?;
+        }
+        writeln!(out)?;
+        write!(out, "memory  {:.0} MB:", self.memory_mb.values().sum::<f64>())?;
+        for (process, megabytes) in &self.memory_mb {
+            write!(out, "  {process} {megabytes:.0}")?;
+        }
+        writeln!(out)?;
+        if let Some(speed) = self.replay_x_real_time {
+            writeln!(out, "replay  {speed:.0} x real time")?;
+        }
+        Ok(())
+    }
+
+    fn write_recognition(&self, out: &mut String) -> std::fmt::Result {
+        let Recognition { windows, correct, per_gesture } = &self.recognition;
+        if *windows == 0 {
+            return writeln!(out, "recognition  no window lay wholly inside a known gesture");
+        }
+        write!(
+            out,
+            "recognition  {correct} of {windows} windows inside a gesture ({:.1} %):",
+            Recognition::percent(*correct, *windows)
+        )?;
+        for gesture in Gesture::ALL {
+            if let Some(recognition) = per_gesture.get(gesture.name()) {
+                write!(
+                    out,
+                    "  {gesture} {:.0} %",
+                    Recognition::percent(recognition.correct, recognition.windows)
+                )?;
+            }
+        }
+        writeln!(out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tendon_messages::{Measurement, MeasurementHeader};
+
+    fn empty() -> Report {
+        Report {
+            session: "test".into(),
+            duration_s: 1.0,
+            source: "simulate".into(),
+            robot: "simulate".into(),
+            model: "model.onnx".into(),
+            strategy: "threshold".into(),
+            scheduling: BTreeMap::new(),
+            hops: vec![],
+            work: vec![],
+            newest_sample_to_command: LatencySummary::default(),
+            window_start_to_command: WindowStartSummary::default(),
+            messages: BTreeMap::new(),
+            replaced_samples: 0,
+            recognition: Recognition::default(),
+            replay_x_real_time: None,
+            restarts: 0,
+            cpu_s: BTreeMap::new(),
+            memory_mb: BTreeMap::new(),
+            final_position_mm: [0.0; 3],
+        }
+    }
+
+    #[test]
+    fn the_report_has_the_keys_that_other_programs_read() {
+        let mut measurements = SessionMeasurements::default();
+        let decision = MeasurementHeader {
+            stage: Stage::Decision.index() as u8,
+            received: 2,
+            published: 2,
+            ..MeasurementHeader::default()
+        };
+        let seen = |gesture: Gesture| Measurement {
+            transit_ns: 20_000,
+            work_ns: 5_000,
+            newest_sample_to_publish_ns: 400_000,
+            window_start_to_publish_ns: 300_000_000,
+            truth: Gesture::Extension as u8,
+            gesture: gesture as u8,
+        };
+        measurements.absorb(&decision, &[seen(Gesture::Extension), seen(Gesture::Grip)]);
+        let report = empty().measured(&measurements);
+        let json = serde_json::to_value(&report).unwrap();
+        assert_eq!(json["hops"][2]["from"], "inference");
+        assert_eq!(json["hops"][2]["to"], "decision");
+        assert_eq!(json["hops"][2]["count"], 2);
+        // Three significant digits: the histogram's resolution.
+        assert!((json["hops"][2]["p999_us"].as_f64().unwrap() - 20.0).abs() < 0.02);
+        assert_eq!(json["work"][3]["stage"], "decision");
+        assert_eq!(json["newest_sample_to_command"]["count"], 2);
+        assert_eq!(json["window_start_to_command"]["mean_ms"], 300.0);
+        assert_eq!(json["messages"]["commands"]["published"], 2);
+        assert_eq!(json["messages"]["blocks"]["lost"], 0);
+        assert_eq!(json["recognition"]["windows"], 2);
+        assert_eq!(json["recognition"]["correct"], 1);
+        assert_eq!(json["recognition"]["per_gesture"]["extension"]["recognised_as"]["grip"], 1);
+        assert!(report.table().contains("recognition  1 of 2 windows inside a gesture (50.0 %)"));
+    }
+}
