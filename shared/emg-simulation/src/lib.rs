@@ -22,6 +22,6 @@ mod simulator;
 
 pub use fit::{FitError, FitSettings, Segment, fit};
 pub use performance::{ContractionSettings, Performance, Repeat, Truth};
-pub use profile::{GestureProfile, Profile, ProfileError};
+pub use profile::{Coherency, GestureProfile, Profile, ProfileError};
 pub use script::{DEFAULT_SCRIPT, Script, ScriptError, Step};
 pub use simulator::{SimulatedEmg, SimulationError, SimulationSettings};

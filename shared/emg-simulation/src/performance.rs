@@ -79,7 +79,10 @@ impl Performance {
     pub fn at_rest(contraction: ContractionSettings, sample_rate_hz: f64) -> Performance {
         assert!(sample_rate_hz > 0.0 && sample_rate_hz.is_finite(), "sample rate {sample_rate_hz} Hz");
         let samples = |milliseconds: f64| {
-            assert!(milliseconds >= 0.0 && milliseconds.is_finite(), "a contraction changes in {milliseconds} ms");
+            assert!(
+                milliseconds >= 0.0 && milliseconds.is_finite(),
+                "a contraction changes in {milliseconds} ms"
+            );
             (milliseconds * 1e-3 * sample_rate_hz).round().max(1.0)
         };
         let fall_samples = samples(contraction.fall_ms);
@@ -244,7 +247,9 @@ mod tests {
         follow(&mut performance, 100);
         performance.set_gesture(Gesture::Ulnar);
         let played = follow(&mut performance, 2000);
-        assert!(played.iter().all(|(truth, _)| *truth == Truth { gesture: Gesture::Ulnar, since_sample: 100 }));
+        assert!(
+            played.iter().all(|(truth, _)| *truth == Truth { gesture: Gesture::Ulnar, since_sample: 100 })
+        );
         assert_eq!(played[1999].1[Gesture::Ulnar.index()], 1.0);
         assert_eq!(played[1999].1[Gesture::Rest.index()], 0.0);
     }

@@ -1,6 +1,7 @@
-//! What one person's muscles look like to the electrodes: for every gesture a spectrum per channel and how
-//! the channels go together. Nothing in a profile depends on a sample rate.
+//! What one person's muscles look like to the electrodes: for every gesture a spectrum per channel and the
+//! coherency of every two channels. Nothing in a profile depends on a sample rate.
 
+use realfft::num_complex::Complex;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 
@@ -15,7 +16,7 @@ pub struct Profile {
     pub source: String,
     /// The unit of the samples, such as `adc_counts`.
     pub unit: String,
-    /// The frequencies, ascending, at which the spectra are given. Between them the amplitude density is
+    /// The frequencies, ascending, at which spectra and coherencies are given. Between them both are
     /// interpolated linearly; below the first and above the last there is no signal.
     pub frequencies_hz: Vec<f64>,
     /// One entry a gesture, all six, in any order.
@@ -30,8 +31,22 @@ pub struct GestureProfile {
     pub gesture: Gesture,
     /// `[channels][frequencies]`: square root of the one-sided power spectral density, in unit/√Hz.
     pub amplitude_density: Vec<Vec<f64>>,
-    /// `[channels][channels]`: correlation between the channels, 1 on the diagonal, positive definite.
-    pub correlation: Vec<Vec<f64>>,
+    /// How the channels go together: every two channels once.
+    pub coherency: Vec<Coherency>,
+}
+
+/// The coherency of two channels, `S12 / √(S11 S22)` with `S12` the mean of `X1 · conj(X2)` over the spectra
+/// `X` of many frames: its magnitude says how much of both signals has one origin, its phase by how much the
+/// first channel leads.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Coherency {
+    /// First and second channel, from 0, the lower one first.
+    pub channels: [usize; 2],
+    /// Real part at each frequency.
+    pub real: Vec<f64>,
+    /// Imaginary part at each frequency.
+    pub imaginary: Vec<f64>,
 }
 
 /// What is wrong with a profile.
@@ -51,31 +66,53 @@ pub enum ProfileError {
     /// The frequencies are not ascending, or fewer than two, or not finite and from 0 Hz.
     #[error("profile: frequencies_hz must be at least two, ascending and not negative")]
     Frequencies,
-    /// An array is not as long as the frequencies or the channels ask for.
-    #[error("profile, gesture `{gesture}`: {array} must be {rows} rows of {columns}")]
-    Shape {
-        /// The gesture.
-        gesture: Gesture,
-        /// The name of the array.
-        array: &'static str,
-        /// The rows it should have.
-        rows: usize,
-        /// The columns it should have.
-        columns: usize,
-    },
-    /// A density is negative or not finite.
-    #[error("profile, gesture `{gesture}`: amplitude_density must be finite and not negative")]
+    /// A gesture's densities are not `[channels][frequencies]`, or not all finite and at least zero.
+    #[error(
+        "profile, gesture `{gesture}`: amplitude_density must be {channels} rows of {frequencies} finite numbers, \
+         none negative"
+    )]
     Density {
         /// The gesture.
         gesture: Gesture,
+        /// Channels of the profile, those of its first gesture.
+        channels: usize,
+        /// Number of its frequencies.
+        frequencies: usize,
     },
-    /// The correlation is no correlation matrix.
+    /// The coherency of two channels is missing, given twice, or not as long as the frequencies.
     #[error(
-        "profile, gesture `{gesture}`: correlation must be symmetric, 1 on its diagonal and positive definite"
+        "profile, gesture `{gesture}`: give the coherency of channels {channels:?} once, with {frequencies} real and \
+         {frequencies} imaginary parts"
     )]
-    Correlation {
+    CoherencyShape {
         /// The gesture.
         gesture: Gesture,
+        /// The two channels.
+        channels: [usize; 2],
+        /// Number of frequencies.
+        frequencies: usize,
+    },
+    /// A coherency of channels that are not there, or not with the lower one first.
+    #[error(
+        "profile, gesture `{gesture}`: no coherency of channels {channels:?} is wanted: there are {available} channels, the lower one goes first"
+    )]
+    CoherencyChannels {
+        /// The gesture.
+        gesture: Gesture,
+        /// The two channels.
+        channels: [usize; 2],
+        /// Channels of the profile.
+        available: usize,
+    },
+    /// No signals can have these coherencies all at once.
+    #[error(
+        "profile, gesture `{gesture}`: the coherencies at {frequency_hz} Hz contradict each other: make them smaller"
+    )]
+    Coherency {
+        /// The gesture.
+        gesture: Gesture,
+        /// The first frequency at which they do.
+        frequency_hz: f64,
     },
 }
 
@@ -104,7 +141,7 @@ impl Profile {
 
     /// Number of channels the profile describes.
     pub fn channels(&self) -> usize {
-        self.gestures.first().map_or(0, |gesture| gesture.amplitude_density.len())
+        self.gestures.first().map_or(0, |entry| entry.amplitude_density.len())
     }
 
     /// Checks that every gesture is there once and every array fits.
@@ -123,66 +160,142 @@ impl Profile {
         if self.frequencies_hz.len() < 2 || !ascending || !in_range {
             return Err(ProfileError::Frequencies);
         }
-        let channels = self.channels();
-        for entry in &self.gestures {
-            entry.check(channels, self.frequencies_hz.len())?;
-        }
-        Ok(())
+        self.gestures.iter().try_for_each(|entry| entry.check(self.channels(), &self.frequencies_hz))
     }
 
     /// The entry of `gesture`; [`Profile::check`] has found it to be there.
     pub(crate) fn gesture(&self, gesture: Gesture) -> &GestureProfile {
-        self.gestures.iter().find(|entry| entry.gesture == gesture).expect("a checked profile has all gestures")
+        self.gestures
+            .iter()
+            .find(|entry| entry.gesture == gesture)
+            .expect("a checked profile has all gestures")
     }
 }
 
 impl GestureProfile {
-    fn check(&self, channels: usize, frequencies: usize) -> Result<(), ProfileError> {
+    /// The coherency matrix `[channels][channels]` at one of the frequencies.
+    pub(crate) fn coherency_matrix(&self, frequency: usize) -> Matrix {
+        let channels = self.amplitude_density.len();
+        let mut matrix = vec![vec![Complex::new(1.0, 0.0); channels]; channels];
+        for Coherency { channels: [first, second], real, imaginary } in &self.coherency {
+            let value = Complex::new(real[frequency], imaginary[frequency]);
+            matrix[*first][*second] = value;
+            matrix[*second][*first] = value.conj();
+        }
+        matrix
+    }
+
+    fn check(&self, channels: usize, frequencies_hz: &[f64]) -> Result<(), ProfileError> {
         let gesture = self.gesture;
-        let shape = |array, rows, columns| Err(ProfileError::Shape { gesture, array, rows, columns });
-        if channels == 0 || !is_matrix(&self.amplitude_density, channels, frequencies) {
-            return shape("amplitude_density", channels.max(1), frequencies);
+        let frequencies = frequencies_hz.len();
+        let density = &self.amplitude_density;
+        let has_shape = density.len() == channels && density.iter().all(|row| row.len() == frequencies);
+        let in_range = density.iter().flatten().all(|value| value.is_finite() && *value >= 0.0);
+        if channels == 0 || !has_shape || !in_range {
+            return Err(ProfileError::Density { gesture, channels: channels.max(1), frequencies });
         }
-        if !is_matrix(&self.correlation, channels, channels) {
-            return shape("correlation", channels, channels);
+        for Coherency { channels: [first, second], .. } in &self.coherency {
+            if first >= second || *second >= channels {
+                let channels_given = [*first, *second];
+                return Err(ProfileError::CoherencyChannels {
+                    gesture,
+                    channels: channels_given,
+                    available: channels,
+                });
+            }
         }
-        if self.amplitude_density.iter().flatten().any(|density| !density.is_finite() || *density < 0.0) {
-            return Err(ProfileError::Density { gesture });
+        for second in 0..channels {
+            for first in 0..second {
+                let mut of_pair = self.coherency.iter().filter(|entry| entry.channels == [first, second]);
+                let fits = of_pair.next().is_some_and(|entry| {
+                    entry.real.len() == frequencies && entry.imaginary.len() == frequencies
+                });
+                if !fits || of_pair.next().is_some() {
+                    return Err(ProfileError::CoherencyShape {
+                        gesture,
+                        channels: [first, second],
+                        frequencies,
+                    });
+                }
+            }
         }
-        let correlation = &self.correlation;
-        let is_symmetric = (0..channels).all(|row| {
-            correlation[row][row] == 1.0
-                && (0..row).all(|column| correlation[row][column] == correlation[column][row])
-        });
-        if !is_symmetric || cholesky(correlation).is_none() {
-            return Err(ProfileError::Correlation { gesture });
+        for (frequency, frequency_hz) in frequencies_hz.iter().enumerate() {
+            if cholesky(&self.coherency_matrix(frequency)).is_none() {
+                return Err(ProfileError::Coherency { gesture, frequency_hz: *frequency_hz });
+            }
         }
         Ok(())
     }
 }
 
-fn is_matrix(rows: &[Vec<f64>], height: usize, width: usize) -> bool {
-    rows.len() == height && rows.iter().all(|row| row.len() == width)
-}
+/// Rows of complex numbers.
+pub(crate) type Matrix = Vec<Vec<Complex<f64>>>;
 
-/// The lower triangular `L` with `L Lᵀ = matrix`; `None` unless `matrix` is positive definite.
-pub(crate) fn cholesky(matrix: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+/// The lower triangular `L` with `L · Lᴴ = matrix`; `None` unless the Hermitian `matrix` is positive definite.
+pub(crate) fn cholesky(matrix: &Matrix) -> Option<Matrix> {
     let size = matrix.len();
-    let mut lower = vec![vec![0.0; size]; size];
+    let mut lower = vec![vec![Complex::new(0.0, 0.0); size]; size];
     for row in 0..size {
         for column in 0..=row {
-            let known: f64 = (0..column).map(|k| lower[row][k] * lower[column][k]).sum();
+            let known: Complex<f64> = (0..column).map(|k| lower[row][k] * lower[column][k].conj()).sum();
             let rest = matrix[row][column] - known;
-            if row == column {
-                // Also false for NaN.
-                if !(rest > 1e-9) {
-                    return None;
-                }
-                lower[row][row] = rest.sqrt();
+            lower[row][column] = if row == column {
+                // A comparison with NaN is false.
+                let is_positive = rest.re > 1e-9 && rest.re.is_finite();
+                Complex::new(is_positive.then(|| rest.re.sqrt())?, 0.0)
             } else {
-                lower[row][column] = rest / lower[column][column];
-            }
+                rest / lower[column][column].re
+            };
         }
     }
     Some(lower)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_profile_is_read_and_written_back() {
+        let profile = Profile::default();
+        assert_eq!(Profile::from_toml(&profile.to_toml()), Ok(profile.clone()));
+        assert_eq!(profile.channels(), 4);
+        assert_eq!(profile.unit, "adc_counts");
+        assert!(DEFAULT_PROFILE.len() < 30_000, "{} bytes", DEFAULT_PROFILE.len());
+    }
+
+    #[test]
+    fn faults_are_named() {
+        let fault = |spoil: fn(&mut Profile)| {
+            let mut profile = Profile::default();
+            spoil(&mut profile);
+            profile.check().expect_err("spoilt")
+        };
+        assert_eq!(
+            fault(|profile| profile.gestures[5].gesture = Gesture::Rest),
+            ProfileError::Gestures { gesture: Gesture::Rest, found: 2 }
+        );
+        assert_eq!(fault(|profile| profile.frequencies_hz.swap(0, 1)), ProfileError::Frequencies);
+        let frequencies = Profile::default().frequencies_hz.len();
+        let gesture = Gesture::Extension;
+        assert_eq!(
+            fault(|profile| profile.gestures[1].amplitude_density[2][3] = f64::NAN),
+            ProfileError::Density { gesture, channels: 4, frequencies }
+        );
+        assert_eq!(
+            fault(|profile| drop(profile.gestures[1].coherency.pop())),
+            ProfileError::CoherencyShape { gesture, channels: [2, 3], frequencies }
+        );
+        assert_eq!(
+            fault(|profile| profile.gestures[1].coherency[0].channels = [1, 0]),
+            ProfileError::CoherencyChannels { gesture, channels: [1, 0], available: 4 }
+        );
+        let frequency_hz = Profile::default().frequencies_hz[7];
+        for value in [1.5, f64::NAN] {
+            let mut profile = Profile::default();
+            profile.gestures[1].coherency[0].real[7] = value;
+            assert_eq!(profile.check(), Err(ProfileError::Coherency { gesture, frequency_hz }));
+        }
+        assert!(matches!(Profile::from_toml("unit = 1"), Err(ProfileError::Toml(_))));
+    }
 }
