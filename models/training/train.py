@@ -283,7 +283,7 @@ def main() -> None:
         "tendon.provenance": (
             f"3DC data set (Cote-Allard et al. 2019); trained on people {settings['people trained on']}; "
             f"held out {settings['people held out for test']}; {settings['windows']} windows; "
-            f"{settings['epochs']}; seed {arguments.seed}"
+            f"epochs {settings['epochs']}; seed {arguments.seed}"
         ),
     }
     export(model, windows.shape[1:], metadata, arguments.out)
