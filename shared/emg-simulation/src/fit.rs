@@ -4,7 +4,8 @@
 //! alike, however strong it is: its spectrum is divided by its power before spectra are averaged, and the power
 //! of the profile is the geometric mean of the frames' powers. A burst, or an electrode that slips, then
 //! weighs no more than any other frame. At each frequency of the profile the spectra are averaged with
-//! weights that fall to zero at its neighbours, which is what interpolation between them undoes.
+//! weights that fall to zero at its neighbours (0 Hz before the first), the counterpart of the linear
+//! interpolation with which they are used.
 
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
@@ -261,7 +262,8 @@ impl Spectra {
     /// The mean a frame around one of the profile's frequencies, over the bins that are not mains.
     fn mean_near(&self, cross: &[Complex<f64>], frequencies_hz: &[f64], at: usize) -> Complex<f64> {
         let middle_hz = frequencies_hz[at];
-        let below_hz = middle_hz - if at == 0 { 0.0 } else { frequencies_hz[at - 1] };
+        let previous_hz = if at == 0 { 0.0 } else { frequencies_hz[at - 1] };
+        let below_hz = middle_hz - previous_hz;
         let above_hz = frequencies_hz.get(at + 1).map_or(below_hz, |next| next - middle_hz);
         let mut sum = Complex::ZERO;
         let mut weights = 0.0;
@@ -353,6 +355,34 @@ mod tests {
                     assert!(real.hypot(imaginary) < 0.15, "{:?}, {} Hz", wanted.channels, FREQUENCIES_HZ[at]);
                 }
             }
+        }
+    }
+
+    /// Made by `tests/golden/make_fit.py`.
+    #[derive(serde::Deserialize)]
+    struct Golden {
+        samples: [Vec<f32>; 2],
+        amplitude_density: [Vec<f64>; 2],
+        coherency_real: Vec<f64>,
+        coherency_imaginary: Vec<f64>,
+    }
+
+    #[test]
+    fn the_fit_is_that_of_numpy() {
+        let golden: Golden = serde_json::from_str(include_str!("../tests/golden/fit.json")).expect("JSON");
+        let samples = golden.samples.concat();
+        let segments = Gesture::ALL.map(|gesture| Segment { gesture, samples: &samples });
+        let settings = FitSettings { channels: 2, sample_rate_hz: 1000.0, ..settings() };
+        let profile = fit(&segments, &settings).expect("all gestures are there");
+        let entry = &profile.gestures[2];
+        let fitted = entry.amplitude_density.iter().flatten().chain(&entry.coherency[0].real);
+        let fitted: Vec<f64> = fitted.chain(&entry.coherency[0].imaginary).copied().collect();
+        let wanted = golden.amplitude_density.concat().into_iter().chain(golden.coherency_real);
+        let wanted: Vec<f64> = wanted.chain(golden.coherency_imaginary).collect();
+        assert_eq!(fitted.len(), wanted.len());
+        for (fitted, wanted) in fitted.iter().zip(&wanted) {
+            // A profile is rounded to 0.001.
+            assert!((fitted - wanted).abs() < 0.000_51, "{fitted} for {wanted}");
         }
     }
 

@@ -340,8 +340,7 @@ impl SimulationSettings {
             return wrong("offset", f64::from(self.offset), "finite");
         }
         match self.clip_at {
-            // Also wrong for NaN.
-            Some(level) if !(level > 0.0) => wrong("clip_at", f64::from(level), "positive"),
+            Some(level) if level.is_nan() || level <= 0.0 => wrong("clip_at", f64::from(level), "positive"),
             _ => Ok(()),
         }
     }
