@@ -1,0 +1,144 @@
+//! The stages' work alone, in this process, without transport: what a stage adds even on an ideal machine.
+//!
+//! The clock is read before and after each piece of work; the first row shows what that alone takes.
+
+use std::hint::black_box;
+
+use anyhow::Context;
+use hdrhistogram::Histogram;
+use serde::Serialize;
+use tendon_arm::{STEP_NS, SimulatedArm, Twist};
+use tendon_config::Config;
+use tendon_gesture::{Decider, Evidence, Gesture};
+use tendon_latency::LatencySummary;
+use tendon_messages::Stage;
+use tendon_signal::SignalChain;
+use tendon_transport::now_ns;
+
+use crate::emg::simulated;
+use crate::hop::histogram;
+
+/// Blocks of a minute at 200 Hz; other work is repeated as often.
+const REPETITIONS: usize = 12_000;
+
+/// How long a piece of a stage's work takes.
+#[derive(Debug, Serialize)]
+pub struct Work {
+    /// The stage; `None` for the clock.
+    stage: Option<&'static str>,
+    task: &'static str,
+    /// Where it depends on them.
+    channels: Option<usize>,
+    #[serde(flatten)]
+    work: LatencySummary,
+}
+
+/// Measures and prints the work of every stage.
+pub fn measure() -> anyhow::Result<Vec<Work>> {
+    let mut rows = vec![clock()];
+    for channels in [4, 64] {
+        rows.extend(signal(channels)?);
+    }
+    rows.push(decision()?);
+    rows.push(arm()?);
+    println!("\nWork alone");
+    println!("  {:<12} {:<24} {:>8}  {}", "stage", "task", "channels", crate::COLUMNS);
+    for Work { stage, task, channels, work } in &rows {
+        let channels = channels.map(|channels| channels.to_string()).unwrap_or_default();
+        println!("  {:<12} {task:<24} {channels:>8}  {}", stage.unwrap_or(""), crate::columns(work));
+    }
+    Ok(rows)
+}
+
+/// Times the repetitions of one piece of work.
+struct Stopwatch(Histogram<u64>);
+
+impl Stopwatch {
+    fn new() -> Stopwatch {
+        Stopwatch(histogram())
+    }
+
+    fn time<T>(&mut self, work: impl FnOnce() -> T) -> T {
+        let start_ns = now_ns();
+        let result = black_box(work());
+        self.0.saturating_record(now_ns() - start_ns);
+        result
+    }
+
+    fn work(self, stage: Stage, task: &'static str, channels: Option<usize>) -> Work {
+        Work { stage: Some(stage.name()), task, channels, work: LatencySummary::of(&self.0) }
+    }
+}
+
+fn clock() -> Work {
+    let mut stopwatch = Stopwatch::new();
+    (0..REPETITIONS).for_each(|_| stopwatch.time(|| ()));
+    Work { stage: None, task: "reading the clock", channels: None, work: LatencySummary::of(&stopwatch.0) }
+}
+
+/// Simulates a minute of blocks and takes them through dsp.
+fn signal(channels: usize) -> anyhow::Result<[Work; 3]> {
+    let config = Config::default();
+    let acquisition = &config.acquisition;
+    let (mut emg, mut performance) = simulated(channels)?;
+    let mut blocks = vec![vec![0.0_f32; channels * acquisition.block_samples]; REPETITIONS];
+    let mut simulate = Stopwatch::new();
+    for block in &mut blocks {
+        simulate.time(|| emg.fill_block(&mut performance, block));
+    }
+
+    let mut chain = SignalChain::new(&config.dsp, channels, acquisition.sample_rate_hz)?;
+    let mut window = vec![0.0; chain.window_len()];
+    let mut process = Stopwatch::new();
+    for block in &blocks {
+        process.time(|| {
+            let mut from = 0;
+            while from < acquisition.block_samples {
+                let push = chain.push(block, from);
+                from += push.consumed;
+                if push.window.is_some() {
+                    chain.write_window(&mut window);
+                }
+            }
+        });
+    }
+    let mut write_window = Stopwatch::new();
+    (0..REPETITIONS).for_each(|_| write_window.time(|| chain.write_window(black_box(&mut window))));
+
+    let channels = Some(channels);
+    Ok([
+        simulate.work(Stage::Acquisition, "simulate a block", channels),
+        process.work(Stage::Dsp, "process a block", channels),
+        write_window.work(Stage::Dsp, "write a window", channels),
+    ])
+}
+
+fn decision() -> anyhow::Result<Work> {
+    let mut decider = Decider::new(&Config::default().decision)?;
+    let mut stopwatch = Stopwatch::new();
+    for repetition in 0..REPETITIONS {
+        let mut probabilities = [0.04; Gesture::COUNT];
+        // A gesture holds for ten windows.
+        probabilities[repetition / 10 % Gesture::COUNT] = 0.8;
+        let captured_ns = repetition as u64 * 75_000_000;
+        let evidence = Evidence { probabilities: &probabilities, moving: true, intact: true, captured_ns };
+        stopwatch.time(|| decider.decide(black_box(&evidence)));
+    }
+    Ok(stopwatch.work(Stage::Decision, "decide upon a window", None))
+}
+
+fn arm() -> anyhow::Result<Work> {
+    let mut arm = SimulatedArm::new(Config::default().robot.arm, 0)?;
+    let mut stopwatch = Stopwatch::new();
+    for repetition in 0..REPETITIONS {
+        let seconds = repetition as u64 * STEP_NS / 1_000_000_000;
+        // A second one way, a second back.
+        let speed_mm_per_s = if seconds.is_multiple_of(2) { 50.0 } else { -50.0 };
+        let twist = Twist { linear_mm_per_s: [0.0, speed_mm_per_s, 0.0], angular_rad_per_s: [0.0; 3] };
+        let time_ns = (repetition as u64 + 1) * STEP_NS;
+        stopwatch
+            .time(|| arm.command(twist, time_ns).map(|()| arm.state()))
+            .context("a finite twist was refused")?;
+    }
+    Ok(stopwatch.work(Stage::Robot, "command, step, state", None))
+}
