@@ -9,9 +9,12 @@ use crate::profile::{GestureProfile, Matrix, cholesky};
 /// Length of a shaping filter: it resolves about 30 Hz, finer than muscle spectra have detail.
 const FILTER_SECONDS: f64 = 0.064;
 
-/// Taps of a shaping filter at a sample rate, a multiple of eight so that they fill vector registers.
+/// The number of taps is a multiple of this, so that they fill vector registers.
+pub(crate) const TAPS_MULTIPLE: usize = 32;
+
+/// Taps of a shaping filter at a sample rate.
 pub(crate) fn tap_count(sample_rate_hz: f64) -> usize {
-    ((FILTER_SECONDS * sample_rate_hz).ceil() as usize).div_ceil(8) * 8
+    ((FILTER_SECONDS * sample_rate_hz).ceil() as usize).next_multiple_of(TAPS_MULTIPLE)
 }
 
 /// Designs the filters that turn independent white noises of variance 1, as many as the profile has channels,

@@ -218,18 +218,18 @@ impl NoiseHistory {
     }
 }
 
-/// Sum of products, in eight running sums so that it vectorises, always in the same order.
+/// Sum of products of two equally long slices, in as many running sums as keep the processor's adders busy,
+/// always in the same order. [`shaping::tap_count`] leaves no remainder.
 fn dot(left: &[f32], right: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 8];
-    let (left_eights, left_rest) = left.as_chunks::<8>();
-    let (right_eights, right_rest) = right.as_chunks::<8>();
-    for (left, right) in left_eights.iter().zip(right_eights) {
-        for lane in 0..8 {
-            sums[lane] += left[lane] * right[lane];
+    let mut sums = [0.0_f32; shaping::TAPS_MULTIPLE];
+    let (left, _) = left.as_chunks::<{ shaping::TAPS_MULTIPLE }>();
+    let (right, _) = right.as_chunks::<{ shaping::TAPS_MULTIPLE }>();
+    for (left, right) in left.iter().zip(right) {
+        for ((sum, left), right) in sums.iter_mut().zip(left).zip(right) {
+            *sum += left * right;
         }
     }
-    let rest: f32 = left_rest.iter().zip(right_rest).map(|(left, right)| left * right).sum();
-    sums.iter().sum::<f32>() + rest
+    sums.iter().sum()
 }
 
 /// A sine that reaches every channel with a phase of its own.
