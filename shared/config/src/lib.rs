@@ -300,8 +300,7 @@ pub enum ConfigError {
 const MAXIMUM_CHANNELS: usize = 1024;
 
 impl Config {
-    /// Reads the configuration at `path` and checks it. Relative paths in it become absolute, from its
-    /// folder.
+    /// Reads the configuration at `path`. Relative paths in it become absolute, from its folder.
     ///
     /// # Errors
     ///
@@ -322,6 +321,43 @@ impl Config {
             }
         }
         Ok(config)
+    }
+
+    /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`. What
+    /// is no TOML value is taken as text.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Parse`] when there is no such key or the value does not fit it.
+    pub fn with(&self, assignment: &str) -> Result<Config, ConfigError> {
+        let origin = PathBuf::from(format!("--set {assignment}"));
+        let no_assignment = || ConfigError::Parse {
+            path: origin.clone(),
+            message: "write KEY=VALUE, such as acquisition.channels=8".to_owned(),
+            suggestion: String::new(),
+        };
+        let (key, value) = assignment.split_once('=').ok_or_else(no_assignment)?;
+        let value = format!("value = {value}")
+            .parse::<toml::Table>()
+            .ok()
+            .and_then(|mut table| table.remove("value"))
+            .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+        let mut root =
+            toml::Table::try_from(self).expect("a configuration has only what TOML can say: tested");
+        let mut table = &mut root;
+        let mut keys = key.trim().split('.').peekable();
+        while let Some(key) = keys.next() {
+            if keys.peek().is_none() {
+                table.insert(key.to_owned(), value);
+                break;
+            }
+            table = table
+                .entry(key)
+                .or_insert_with(|| toml::Value::Table(toml::Table::new()))
+                .as_table_mut()
+                .ok_or_else(no_assignment)?;
+        }
+        Config::parse(&toml::to_string(&root).map_err(|_| no_assignment())?, &origin)
     }
 
     /// Reads a configuration from `text`; `path` is only for messages.
@@ -498,6 +534,34 @@ mod tests {
     }
 
     #[test]
+    fn the_documented_file_holds_every_key_at_its_default() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tendon.toml");
+        let text = std::fs::read_to_string(path).unwrap();
+        assert_eq!(parse(&text).unwrap(), Config::default());
+        // The same keys, and those that are left out by default as comments.
+        let keys = |table: &str| -> Vec<String> {
+            let key = |line: &str| {
+                let line = line.trim_start_matches("# ");
+                line.starts_with(|first: char| first.is_ascii_lowercase() || first == '[')
+                    .then(|| line.split(['=', ']']).next().unwrap_or_default().trim().to_owned())
+            };
+            table.lines().filter_map(key).collect()
+        };
+        let documented = keys(&text);
+        let mut config = Config::default();
+        config.acquisition.simulate.profile = Some("x".into());
+        config.acquisition.simulate.clip_at = Some(1.0);
+        config.acquisition.replay.path = Some("x".into());
+        config.acquisition.replay.sample_rate_hz = Some(1.0);
+        config.acquisition.replay.repetition = Some(0);
+        config.inference.model = Some("x".into());
+        config.inference.runtime_library = Some("x".into());
+        for key in keys(&config.to_toml()) {
+            assert!(documented.contains(&key), "tendon.toml does not document `{key}`");
+        }
+    }
+
+    #[test]
     fn a_configuration_reads_back_from_its_text() {
         let mut config = Config::default();
         config.acquisition.simulate.clip_at = Some(100.0);
@@ -511,6 +575,23 @@ mod tests {
         let error = parse("[acquisition]\nblock_sample = 5\n").unwrap_err();
         for part in ["tendon.toml", "line 2", "block_sample", "did you mean `block_samples`?"] {
             assert!(error.contains(part), "`{part}` is not in: {error}");
+        }
+    }
+
+    #[test]
+    fn one_key_is_changed_as_on_the_command_line() {
+        let config = Config::default().with("acquisition.channels=8").unwrap();
+        assert_eq!(config.acquisition.channels, 8);
+        let config = config.with("acquisition.simulate.script=rest 1s, grip 2s").unwrap();
+        assert_eq!(config.acquisition.simulate.script, "rest 1s, grip 2s");
+        assert_eq!(config.acquisition.channels, 8);
+        for (assignment, expected) in [
+            ("acquisition.chanels=8", "did you mean `channels`?"),
+            ("acquisition.channels=many", "invalid type"),
+            ("channels", "write KEY=VALUE"),
+        ] {
+            let error = config.with(assignment).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains(assignment), "{error}");
         }
     }
 

@@ -14,6 +14,9 @@ const LONGEST_NS: u64 = 60_000_000_000;
 /// Significant digits of a histogram's values.
 const SIGNIFICANT_DIGITS: u8 = 3;
 
+/// Messages after which a stage is warm: its ports have met, its buffers have their size.
+const WARM_UP_MESSAGES: u64 = 10;
+
 /// A stage's counts since the session began, over restarts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
@@ -82,6 +85,8 @@ struct StageMeasurements {
     process_id: u64,
     before_restart: Counts,
     newest: MeasurementHeader,
+    /// Allocations of the process when it was warm; `None` before.
+    allocations_when_warm: Option<u64>,
 }
 
 /// What all stages of a session measured.
@@ -109,6 +114,7 @@ impl Default for SessionMeasurements {
             process_id: 0,
             before_restart: Counts::default(),
             newest: MeasurementHeader::default(),
+            allocations_when_warm: None,
         };
         SessionMeasurements {
             stages: std::array::from_fn(|_| stage()),
@@ -129,8 +135,12 @@ impl SessionMeasurements {
         if kept.process_id != header.process_id {
             kept.before_restart = kept.before_restart.plus(&kept.newest);
             kept.process_id = header.process_id;
+            kept.allocations_when_warm = None;
         }
         kept.newest = *header;
+        if kept.allocations_when_warm.is_none() && header.received.max(header.published) >= WARM_UP_MESSAGES {
+            kept.allocations_when_warm = Some(header.allocations);
+        }
         for measurement in batch {
             if stage.upstream().is_some() {
                 kept.transit.saturating_record(measurement.transit_ns);
@@ -161,6 +171,19 @@ impl SessionMeasurements {
     /// Receive to publish.
     pub fn work(&self, stage: Stage) -> &Histogram<u64> {
         &self.stages[stage.index()].work
+    }
+
+    /// Heap allocations of a stage's process since it was warm.
+    pub fn allocations(&self, stage: Stage) -> u64 {
+        let kept = &self.stages[stage.index()];
+        kept.allocations_when_warm.map_or(0, |when_warm| kept.newest.allocations - when_warm)
+    }
+
+    /// How long messages flowed, from the source's first to the robot's newest.
+    pub fn flow(&self) -> Duration {
+        let first_ns = self.stages[Stage::Acquisition.index()].newest.first_message_ns;
+        let newest_ns = self.stages[Stage::Robot.index()].newest.newest_message_ns;
+        Duration::from_nanos(newest_ns.saturating_sub(first_ns))
     }
 
     /// Whether the source has come to its end and everything it published has gone all the way: every stage

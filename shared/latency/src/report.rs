@@ -39,6 +39,8 @@ pub struct Report {
     pub messages: BTreeMap<String, MessageCounts>,
     /// Samples that were NaN or infinite and replaced.
     pub replaced_samples: u64,
+    /// Heap allocations of every stage since it was warm (those of ONNX Runtime itself not counted).
+    pub allocations: BTreeMap<String, u64>,
     /// How well gestures were recognised, by the truth that travels beside the samples.
     pub recognition: Recognition,
     /// How much faster than the recording a replay at full speed went: seconds of samples per second.
@@ -238,6 +240,10 @@ impl Report {
             },
             messages: messages.collect(),
             replaced_samples: measurements.counts(Stage::Dsp).replaced_samples,
+            allocations: Stage::ALL
+                .into_iter()
+                .map(|stage| (stage.name().to_owned(), measurements.allocations(stage)))
+                .collect(),
             recognition: Recognition::of(&measurements.recognised),
             ..self
         }
@@ -346,6 +352,7 @@ mod tests {
             window_start_to_command: WindowStartSummary::default(),
             messages: BTreeMap::new(),
             replaced_samples: 0,
+            allocations: BTreeMap::new(),
             recognition: Recognition::default(),
             replay_x_real_time: None,
             restarts: 0,

@@ -55,6 +55,12 @@ pub struct MeasurementHeader {
     pub stale: u64,
     /// NaN and infinite samples replaced.
     pub replaced_samples: u64,
+    /// Heap allocations of the process since it began.
+    pub allocations: u64,
+    /// When the stage was done with its first message, CLOCK_MONOTONIC ns; 0 before.
+    pub first_message_ns: u64,
+    /// When the stage was done with its newest message, CLOCK_MONOTONIC ns; 0 before the first.
+    pub newest_message_ns: u64,
     /// 1 when the source has come to its end (a recording that is not looped).
     pub finished: u8,
     /// Index of the sender's [`Stage`](crate::Stage).

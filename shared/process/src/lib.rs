@@ -10,6 +10,7 @@
 //! goes to standard error as one sentence, and the exit code is 2 if the process could not start, 1 if it
 //! broke off later.
 
+mod allocations;
 mod control;
 mod measure;
 mod scheduling;
@@ -26,8 +27,9 @@ use tendon_config::Config;
 use tendon_messages::{Measurement, Stage, Trace, Traced};
 use tendon_transport::{Delivery, Element, Received, Session, Subscriber, now_ns};
 
+pub use allocations::allocations;
 pub use control::{Control, Order, Wake};
-pub use measure::Measurements;
+pub use measure::{BATCH_LENGTH, Measurements};
 pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 
 /// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older

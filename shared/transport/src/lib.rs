@@ -22,6 +22,6 @@ pub use clock::now_ns;
 pub use publisher::{Element, PublishError, Publisher};
 pub use session::{
     Delivery, InvalidSessionName, Leftovers, Session, SessionError, SessionLock, SessionLockError,
-    SessionName, shared_memory_directory,
+    SessionName, required_bytes, shared_memory_directory,
 };
 pub use subscriber::{ReceiveError, Received, Subscriber};

@@ -20,6 +20,8 @@ use crate::publisher::Element;
 
 /// Subscribers a topic can have: the next stage and observers (supervisor, `tendon latency`, recorders).
 const MAXIMUM_SUBSCRIBERS: usize = 8;
+/// Messages a subscriber may hold at a time: it looks at one, and drops it before the next.
+const MAXIMUM_BORROWED: usize = 2;
 /// Publishers a topic can have: every stage on `measurements`, and restarted ones beside the dead.
 const MAXIMUM_PUBLISHERS: usize = 8;
 /// Processes that can take part in a topic.
@@ -77,6 +79,12 @@ impl SessionName {
     /// name, so no prefix is the start of another.
     fn prefix(&self) -> String {
         format!("tendon.{}.", self.0)
+    }
+
+    /// A file of this session with the ending `ending`, in the runtime directory. It goes with the session's
+    /// other leftovers.
+    pub fn runtime_file(&self, ending: &str) -> PathBuf {
+        runtime_directory().join(format!("{}{ending}", self.prefix()))
     }
 
     /// iceoryx2's configuration for this session.
@@ -154,6 +162,14 @@ pub enum SessionError {
     },
 }
 
+/// The most shared memory that the payloads of one publisher of `topic` can take up, in bytes, for messages
+/// of up to `maximum_length` elements: every subscriber may hold back its whole buffer.
+pub fn required_bytes<H: Traced, E: Element>(topic: &Topic<H, E>, maximum_length: usize) -> u64 {
+    let kept = MAXIMUM_SUBSCRIBERS * (topic.buffer + MAXIMUM_BORROWED) + 1;
+    let message = size_of::<H>() + maximum_length * size_of::<E>();
+    kept as u64 * message as u64
+}
+
 /// One process's membership in a session. Ports are opened from it.
 #[derive(Debug)]
 pub struct Session {
@@ -196,7 +212,7 @@ impl Session {
             .user_header::<H>()
             .enable_safe_overflow(delivery == Delivery::Live)
             .subscriber_max_buffer_size(topic.buffer)
-            .subscriber_max_borrowed_samples(2)
+            .subscriber_max_borrowed_samples(MAXIMUM_BORROWED)
             .history_size(0)
             .max_subscribers(MAXIMUM_SUBSCRIBERS)
             .max_publishers(MAXIMUM_PUBLISHERS)

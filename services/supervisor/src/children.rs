@@ -1,0 +1,174 @@
+//! The stages as child processes: started, heard, stopped, reaped.
+
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use tendon_messages::Stage;
+use tendon_process::{Order, Ready};
+
+/// How long a stage may take to stop before it is killed.
+const STOP_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// What the supervisor waits for.
+#[derive(Debug)]
+pub enum Event {
+    /// A stage is ready.
+    Ready(Stage, Ready),
+    /// A stage closed its standard output: it has ended.
+    Ended(Stage),
+    /// The person at the keyboard makes a gesture.
+    Gesture(tendon_gesture::Gesture),
+    /// SIGINT, SIGTERM, or the key for it.
+    Stop,
+}
+
+/// All stages of a session. Dropping it kills and reaps what still runs.
+#[derive(Debug, Default)]
+pub struct Children {
+    running: Vec<Running>,
+}
+
+#[derive(Debug)]
+struct Running {
+    stage: Stage,
+    process: Child,
+    orders: ChildStdin,
+}
+
+impl Children {
+    /// Starts all stages, which lie beside this program, on the configuration at `config`. What they say
+    /// comes as `events`.
+    pub fn start(config: &Path, events: &Sender<Event>) -> anyhow::Result<Children> {
+        let program = std::env::current_exe().context("cannot find this program's own folder")?;
+        let folder = program.parent().context("this program is in no folder")?;
+        let mut children = Children::default();
+        for stage in Stage::ALL {
+            let path = folder.join(format!("tendon-{}", stage.name()));
+            let mut process = Command::new(&path)
+                .arg("--config")
+                .arg(config)
+                .stdin(Stdio::piped())
+                .stdout(Stdio::piped())
+                // Ctrl-C is for the supervisor alone, which then stops the stages in their order.
+                .process_group(0)
+                .spawn()
+                .with_context(|| {
+                    format!(
+                        "cannot start {}: build all programs with ./scripts/run or cargo build",
+                        path.display()
+                    )
+                })?;
+            let orders = process.stdin.take().context("a piped input is missing")?;
+            let output = process.stdout.take().context("a piped output is missing")?;
+            children.running.push(Running { stage, process, orders });
+            let events = events.clone();
+            std::thread::Builder::new()
+                .name(format!("hear {}", stage.name()))
+                .spawn(move || {
+                    for line in BufReader::new(output).lines().map_while(Result::ok) {
+                        if let Ok(ready) = serde_json::from_str(&line) {
+                            // Nobody listens any more once the session is over.
+                            let _ = events.send(Event::Ready(stage, ready));
+                        }
+                    }
+                    let _ = events.send(Event::Ended(stage));
+                })
+                .context("cannot start a thread")?;
+        }
+        Ok(children)
+    }
+
+    /// Process ids of the stages that run.
+    pub fn process_ids(&self) -> impl Iterator<Item = (Stage, u32)> {
+        self.running.iter().map(|running| (running.stage, running.process.id()))
+    }
+
+    /// Gives an order to a stage. One that ends at this moment does not hear it, which shows as its end.
+    pub fn order(&mut self, stage: Stage, order: Order) {
+        for running in self.running.iter_mut().filter(|running| running.stage == stage) {
+            let _ = writeln!(running.orders, "{}", order.line());
+        }
+    }
+
+    /// Reaps a stage that has ended, at once: iceoryx2 takes a process that nobody reaped for alive.
+    pub fn reap(&mut self, stage: Stage) -> anyhow::Result<Option<ExitStatus>> {
+        let Some(position) = self.running.iter().position(|running| running.stage == stage) else {
+            return Ok(None);
+        };
+        let mut running = self.running.swap_remove(position);
+        let status = running.process.wait().with_context(|| format!("cannot reap {}", stage.name()))?;
+        Ok(Some(status))
+    }
+
+    /// Stops all stages, the robot first, and kills those that do not stop. Returns the names of those that
+    /// had to be killed. `meanwhile` is called again and again while waiting.
+    pub fn stop(
+        &mut self,
+        events: &Receiver<Event>,
+        mut meanwhile: impl FnMut() -> anyhow::Result<()>,
+    ) -> anyhow::Result<Vec<&'static str>> {
+        let mut killed = self.stop_those(&[Stage::Robot], events, &mut meanwhile)?;
+        killed.extend(self.stop_those(&Stage::ALL, events, &mut meanwhile)?);
+        Ok(killed)
+    }
+
+    fn stop_those(
+        &mut self,
+        stages: &[Stage],
+        events: &Receiver<Event>,
+        meanwhile: &mut impl FnMut() -> anyhow::Result<()>,
+    ) -> anyhow::Result<Vec<&'static str>> {
+        self.signal(stages, Signal::SIGTERM);
+        let deadline = Instant::now() + STOP_TIMEOUT;
+        while self.running.iter().any(|running| stages.contains(&running.stage)) {
+            let now = Instant::now();
+            if now >= deadline {
+                break;
+            }
+            match events.recv_timeout((deadline - now).min(Duration::from_millis(20))) {
+                Ok(Event::Ended(stage)) => drop(self.reap(stage)?),
+                Ok(_) | Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            meanwhile()?;
+        }
+        self.signal(stages, Signal::SIGKILL);
+        let killed: Vec<Stage> = stages
+            .iter()
+            .copied()
+            .filter(|stage| self.running.iter().any(|running| running.stage == *stage))
+            .collect();
+        for stage in &killed {
+            self.reap(*stage)?;
+        }
+        Ok(killed.into_iter().map(Stage::name).collect())
+    }
+
+    fn signal(&self, stages: &[Stage], signal: Signal) {
+        for running in self.running.iter().filter(|running| stages.contains(&running.stage)) {
+            // The child is not reaped yet, so its id is still its own; a dead one needs no signal.
+            let _ = kill(Pid::from_raw(running.process.id() as i32), signal);
+            if signal == Signal::SIGTERM {
+                // One that was stopped with SIGSTOP hears nothing else before this.
+                let _ = kill(Pid::from_raw(running.process.id() as i32), Signal::SIGCONT);
+            }
+        }
+    }
+}
+
+impl Drop for Children {
+    fn drop(&mut self) {
+        for running in &mut self.running {
+            // There is nobody left to report to; what cannot be killed is already dead.
+            let _ = running.process.kill();
+            let _ = running.process.wait();
+        }
+    }
+}

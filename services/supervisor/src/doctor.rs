@@ -1,0 +1,181 @@
+//! `tendon doctor`: what this machine offers a session, and how to mend what is wrong.
+
+use std::path::Path;
+
+use clap::Args;
+use tendon_classifier::Classifier;
+use tendon_config::{Config, Realtime, SchedulingSettings};
+use tendon_messages::Stage;
+use tendon_process::Policy;
+use tendon_transport::{Leftovers, SessionLock, SessionLockError, shared_memory_directory};
+
+use crate::Failure;
+use crate::run::free_bytes;
+
+/// Free shared memory that a session with default settings is comfortable with, bytes.
+const COMFORTABLE_BYTES: u64 = 64_000_000;
+
+/// Command line of `tendon doctor`.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Remove what sessions that no longer run left in shared memory.
+    #[arg(long)]
+    clean: bool,
+}
+
+/// How a finding weighs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Weight {
+    Good,
+    /// Works, but not as well as it could.
+    Weak,
+    /// No session will run.
+    Broken,
+}
+
+struct Findings {
+    broken: usize,
+}
+
+impl Findings {
+    fn add(&mut self, weight: Weight, what: &str, finding: &str) {
+        let mark = match weight {
+            Weight::Good => "ok    ",
+            Weight::Weak => "weak  ",
+            Weight::Broken => "BROKEN",
+        };
+        println!("{mark}  {what:<18}{finding}");
+        self.broken += usize::from(weight == Weight::Broken);
+    }
+}
+
+/// Examines the machine.
+pub fn examine(options: &Options) -> Result<(), Failure> {
+    let mut findings = Findings { broken: 0 };
+    programs(&mut findings);
+    runtime_and_models(&mut findings);
+    shared_memory(&mut findings);
+    scheduling(&mut findings);
+    leftovers(&mut findings, options.clean);
+    if findings.broken > 0 {
+        return Err(Failure::running(anyhow::anyhow!(
+            "{} of these keep a session from running",
+            findings.broken
+        )));
+    }
+    Ok(())
+}
+
+fn programs(findings: &mut Findings) {
+    let folder = std::env::current_exe().ok();
+    let folder = folder.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
+    let missing: Vec<&str> = Stage::ALL
+        .into_iter()
+        .map(Stage::name)
+        .filter(|name| !folder.join(format!("tendon-{name}")).is_file())
+        .collect();
+    if missing.is_empty() {
+        findings.add(Weight::Good, "programs", &format!("all stages are in {}", folder.display()));
+    } else {
+        let finding = format!(
+            "{} not in {}: build them with ./scripts/run or `cargo build --release`",
+            missing.join(", "),
+            folder.display()
+        );
+        findings.add(Weight::Broken, "programs", &finding);
+    }
+}
+
+fn runtime_and_models(findings: &mut Findings) {
+    let library = match tendon_classifier::runtime_library(None) {
+        Ok(library) => library,
+        Err(error) => return findings.add(Weight::Broken, "runtime library", &error.to_string()),
+    };
+    for file in ["cnn-five-gesture.onnx", "cnn-six-class.onnx"] {
+        let loaded = tendon_classifier::model_beside_program(file)
+            .and_then(|model| Classifier::load(&library, &model).map(|_| model));
+        match loaded {
+            Ok(model) => {
+                let finding = format!("{} runs in {}", model.display(), library.display());
+                findings.add(Weight::Good, "model and runtime", &finding);
+            }
+            Err(error) => findings.add(Weight::Broken, "model and runtime", &error.to_string()),
+        }
+    }
+}
+
+fn shared_memory(findings: &mut Findings) {
+    let folder = shared_memory_directory();
+    match free_bytes(folder) {
+        Ok(free) => {
+            let megabytes = free / 1_000_000;
+            if free < COMFORTABLE_BYTES {
+                let finding = format!(
+                    "only {megabytes} MB free in {}: enlarge it with mount -o remount,size=256m {0}",
+                    folder.display()
+                );
+                findings.add(Weight::Weak, "shared memory", &finding);
+            } else {
+                let finding = format!("{megabytes} MB free in {}", folder.display());
+                findings.add(Weight::Good, "shared memory", &finding);
+            }
+        }
+        Err(error) => findings.add(Weight::Broken, "shared memory", &format!("{error:#}")),
+    }
+}
+
+fn scheduling(findings: &mut Findings) {
+    let settings = SchedulingSettings { realtime: Realtime::Auto, ..Config::default().scheduling };
+    match tendon_process::schedule(&settings, Stage::Acquisition) {
+        Ok(scheduling) => {
+            let (weight, remedy) = match scheduling.policy {
+                Policy::Fifo(_) => (Weight::Good, ""),
+                Policy::ShortSlice(_) => (
+                    Weight::Good,
+                    "; real-time scheduling is a little better still: give the programs cap_sys_nice and \
+                     cap_ipc_lock",
+                ),
+                Policy::Default => (
+                    Weight::Weak,
+                    "; under load messages may wait some ms: use Linux 6.12 or later, or give the programs \
+                     cap_sys_nice and cap_ipc_lock",
+                ),
+            };
+            let shortfall = &scheduling.shortfall;
+            let remark = if shortfall.is_empty() { String::new() } else { format!(" ({shortfall})") };
+            findings.add(weight, "scheduling", &format!("{scheduling}{remark}{remedy}"));
+        }
+        Err(error) => findings.add(Weight::Weak, "scheduling", &error.to_string()),
+    }
+}
+
+fn leftovers(findings: &mut Findings, clean: bool) {
+    let mut found = false;
+    for session in Leftovers::of_all_sessions().sessions() {
+        found = true;
+        match SessionLock::take(&session) {
+            Ok(lock) if clean => {
+                let files = Leftovers::remove(&lock, &session);
+                let finding = format!("session `{session}`: {files} files of a dead session removed");
+                findings.add(Weight::Good, "leftovers", &finding);
+            }
+            Ok(_) => {
+                let Leftovers { files, bytes } = Leftovers::of(&session);
+                let finding = format!(
+                    "session `{session}` is dead but holds {} files, {} kB: `tendon doctor --clean` removes them",
+                    files.len(),
+                    bytes / 1000
+                );
+                findings.add(Weight::Weak, "leftovers", &finding);
+            }
+            Err(SessionLockError::InUse { process_id, .. }) => {
+                let finding = format!("none of session `{session}`: process {process_id} runs it");
+                findings.add(Weight::Good, "leftovers", &finding);
+            }
+            Err(error) => findings.add(Weight::Weak, "leftovers", &error.to_string()),
+        }
+    }
+    if !found {
+        findings.add(Weight::Good, "leftovers", "none");
+    }
+}

@@ -1,0 +1,82 @@
+//! The `tendon` command.
+//!
+//! ```text
+//! tendon run ──starts──▶ acquisition, dsp, inference, decision, robot
+//!     ▲  │ ready, exit            │ measurements, states (shared memory)
+//!     │  └──── orders (stdin) ──▶ │
+//!     └───────────────────────────┘     tendon latency looks on
+//! ```
+#![allow(clippy::print_stdout, reason = "this program's output is for people and pipes")]
+
+mod children;
+mod dataset;
+mod doctor;
+mod latency;
+mod profile;
+mod resources;
+mod run;
+mod screen;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Steer an assistive robot arm with forearm muscle signals.
+#[derive(Debug, Parser)]
+#[command(name = "tendon", version, about, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Start a session: all stages, watched until it ends, then the table of latencies.
+    Run(Box<run::Options>),
+    /// Show the live latencies of a running session.
+    Latency(latency::Options),
+    /// Check what this machine offers a session, and say how to mend what is wrong.
+    Doctor(doctor::Options),
+    /// Profiles of the simulated DAQ.
+    #[command(subcommand)]
+    Profile(profile::Command),
+    /// Data sets to train models on.
+    #[command(subcommand)]
+    Dataset(dataset::Command),
+}
+
+/// An error with the exit code it leads to: 2 for bad input, 1 for what broke off later.
+#[derive(Debug)]
+struct Failure {
+    error: anyhow::Error,
+    exit_code: u8,
+}
+
+impl Failure {
+    fn input(error: impl Into<anyhow::Error>) -> Failure {
+        Failure { error: error.into(), exit_code: 2 }
+    }
+
+    fn running(error: impl Into<anyhow::Error>) -> Failure {
+        Failure { error: error.into(), exit_code: 1 }
+    }
+}
+
+fn main() -> ExitCode {
+    let result = match Arguments::parse().command {
+        Command::Run(options) => run::run(&options),
+        Command::Latency(options) => latency::show(&options),
+        Command::Doctor(options) => doctor::examine(&options),
+        Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
+        Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(Failure { error, exit_code }) => {
+            // Without standard error there is nobody left to tell; the exit code still says it.
+            let _ = writeln!(std::io::stderr(), "tendon: error: {error:#}");
+            ExitCode::from(exit_code)
+        }
+    }
+}

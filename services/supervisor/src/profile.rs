@@ -1,0 +1,120 @@
+//! `tendon profile fit`: a profile of the simulated DAQ from real recordings.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use clap::{Args, Subcommand};
+use tendon_emg_simulation::{FitSettings, Profile, Segment, fit as fit_profile};
+use tendon_gesture::Gesture;
+use tendon_recordings::{Channel, RecordingSettings, RecordingSource};
+
+use crate::Failure;
+
+/// Commands of `tendon profile`.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Fit a profile from one person's recordings, for acquisition.simulate.profile.
+    Fit(FitOptions),
+}
+
+/// Command line of `tendon profile fit`.
+#[derive(Debug, Args)]
+pub struct FitOptions {
+    /// Recordings with cues: folders of the 3DC layout (…/ParticipantP/train/EMG), or single files of it.
+    #[arg(required = true, value_name = "PATH")]
+    recordings: Vec<PathBuf>,
+    /// Where to write the profile.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Channels to simulate, in this order.
+    #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
+    channels: Vec<usize>,
+    /// Whose recordings they are, for the profile's own record.
+    #[arg(long, default_value = "fitted from recordings")]
+    source: String,
+    /// Mains frequency where they were made, in Hz: 50 or 60.
+    #[arg(long, default_value_t = 60.0)]
+    mains_hz: f64,
+    /// Head of every gesture to leave out, in s: the person has not begun yet.
+    #[arg(long, default_value_t = 1.5)]
+    skip_s: f64,
+}
+
+/// Fits and writes a profile.
+pub fn fit(options: &FitOptions) -> Result<(), Failure> {
+    let profile = fitted(options).map_err(Failure::input)?;
+    std::fs::write(&options.out, profile.to_toml())
+        .with_context(|| format!("cannot write {}", options.out.display()))
+        .map_err(Failure::running)?;
+    println!("{}: profile of {} channels; use it with", options.out.display(), profile.channels());
+    println!("  tendon run --set acquisition.simulate.profile={}", options.out.display());
+    Ok(())
+}
+
+fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
+    let settings = RecordingSettings {
+        channels: options.channels.iter().copied().map(Channel::Index).collect(),
+        sample_rate_hz: None,
+        repetition: None,
+    };
+    let mut segments: Vec<(Gesture, Vec<f32>)> = Vec::new();
+    let mut sample_rate_hz = None;
+    for path in &options.recordings {
+        let mut recording = RecordingSource::open(path, &settings)?;
+        let rate = recording.sample_rate_hz();
+        ensure!(
+            *sample_rate_hz.get_or_insert(rate) == rate,
+            "{}: recorded at another rate than the ones before: fit them one by one",
+            path.display()
+        );
+        read_segments(&mut recording, (options.skip_s * rate) as usize, &mut segments)?;
+        eprintln_progress(path, segments.len());
+    }
+    let segments: Vec<Segment<'_>> =
+        segments.iter().map(|(gesture, samples)| Segment { gesture: *gesture, samples }).collect();
+    Ok(fit_profile(
+        &segments,
+        &FitSettings {
+            source: options.source.clone(),
+            unit: "adc_counts".to_owned(),
+            channels: options.channels.len(),
+            sample_rate_hz: sample_rate_hz.context("there are no recordings")?,
+            mains_hz: options.mains_hz,
+        },
+    )?)
+}
+
+/// Cuts a recording at its cues, without the first `skip` samples after each; channel-major.
+fn read_segments(
+    recording: &mut RecordingSource,
+    skip: usize,
+    segments: &mut Vec<(Gesture, Vec<f32>)>,
+) -> anyhow::Result<()> {
+    let channels = recording.channels();
+    let mut values = vec![0.0; channels];
+    let mut by_channel: Vec<Vec<f32>> = vec![Vec::new(); channels];
+    let mut current = None;
+    loop {
+        let frame = recording.next_frame(&mut values)?;
+        if current != frame {
+            let gesture = current.and_then(|frame: tendon_recordings::Frame| frame.cue);
+            if let Some(gesture) = gesture.filter(|_| by_channel[0].len() > skip) {
+                segments.push((
+                    gesture,
+                    by_channel.iter().flat_map(|samples| &samples[skip..]).copied().collect(),
+                ));
+            }
+            by_channel.iter_mut().for_each(Vec::clear);
+            current = frame;
+        }
+        if frame.is_none() {
+            return Ok(());
+        }
+        by_channel.iter_mut().zip(&values).for_each(|(samples, value)| samples.push(*value));
+    }
+}
+
+#[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
+fn eprintln_progress(path: &std::path::Path, segments: usize) {
+    eprintln!("read {} ({segments} gestures so far)", path.display());
+}

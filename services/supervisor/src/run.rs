@@ -1,0 +1,539 @@
+//! `tendon run`: one session from start to report.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail, ensure};
+use clap::Args;
+use hdrhistogram::serialization::V2DeflateSerializer;
+use hdrhistogram::serialization::interval_log::IntervalLogWriterBuilder;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use tendon_config::{Config, Gestures, Pace, Realtime, Source};
+use tendon_gesture::{Gesture, Strategy};
+use tendon_latency::{LatencySummary, Recognition, Report, SessionMeasurements, WindowStartSummary};
+use tendon_messages::{
+    BLOCKS, COMMANDS, MEASUREMENTS, Measurement, MeasurementHeader, PREDICTIONS, STATE_LENGTH, STATES, Stage,
+    StateHeader, TWIST_LENGTH, WINDOWS,
+};
+use tendon_process::{BATCH_LENGTH, Order, Ready};
+use tendon_transport::{
+    Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber, required_bytes,
+    shared_memory_directory,
+};
+
+use crate::Failure;
+use crate::children::{Children, Event};
+use crate::resources;
+use crate::screen::{KEYS, Keyboard, Screen, live_line};
+
+/// Time between two looks at what the stages say. Their messages do not wait for it.
+const TICK: Duration = Duration::from_millis(50);
+/// How long the stages may take to become ready.
+const READY_TIMEOUT: Duration = Duration::from_secs(60);
+/// After this long without being ready, the user is told what is waited for.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// What can be said on the command line of `tendon run`; the rest is in the configuration.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Configuration; without it, ./tendon.toml if there is one, else the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Change one key of the configuration, such as acquisition.channels=8; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    assignments: Vec<String>,
+    /// Name of the session; two at a time need two names.
+    #[arg(long)]
+    session: Option<SessionName>,
+    /// Stop after this long, such as 20s or 10m; without it, on Ctrl-C or at the recording's end.
+    #[arg(long, value_parser = humantime::parse_duration)]
+    duration: Option<Duration>,
+    /// Write the report as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write all histograms in hdrhistogram's interval log format.
+    #[arg(long, value_name = "FILE")]
+    latency_log: Option<PathBuf>,
+    /// Replay a recording: a 3DC folder or file, or a CSV file.
+    #[arg(long, value_name = "PATH")]
+    replay: Option<PathBuf>,
+    /// Sampling rate of the recording, for a CSV file.
+    #[arg(long, value_name = "HZ", requires = "replay")]
+    replay_rate_hz: Option<f64>,
+    /// Replay only this repetition of a 3DC folder.
+    #[arg(long, value_name = "N", requires = "replay")]
+    repetition: Option<u32>,
+    /// How fast to replay.
+    #[arg(long, value_enum)]
+    pace: Option<PaceOption>,
+    /// Gestures of the simulated person, such as "rest 6s, grip 2s".
+    #[arg(long, value_name = "STEPS", conflicts_with_all = ["replay", "random", "keyboard"])]
+    script: Option<String>,
+    /// The simulated person makes random gestures, set by --seed.
+    #[arg(long, conflicts_with_all = ["replay", "keyboard"])]
+    random: bool,
+    /// The keys say which gesture the simulated person makes.
+    #[arg(long, conflicts_with = "replay")]
+    keyboard: bool,
+    /// Seed of the simulated DAQ: the same seed gives the same samples.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// How rest and movement are told apart.
+    #[arg(long, value_enum)]
+    strategy: Option<StrategyOption>,
+    /// The ONNX model.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Real-time scheduling: where the rights allow it, or else fail, or never.
+    #[arg(long, value_enum)]
+    realtime: Option<RealtimeOption>,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum PaceOption {
+    True,
+    Full,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum StrategyOption {
+    Threshold,
+    Direct,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum RealtimeOption {
+    Auto,
+    On,
+    Off,
+}
+
+impl Options {
+    /// The session's configuration: the file, then the command line. All paths absolute.
+    fn configuration(&self) -> anyhow::Result<Config> {
+        let default = Path::new("tendon.toml");
+        let mut config = match &self.config {
+            Some(path) => Config::read(path)?,
+            None if default.is_file() => Config::read(default)?,
+            None => Config::default(),
+        };
+        for assignment in &self.assignments {
+            config = config.with(assignment)?;
+        }
+        let acquisition = &mut config.acquisition;
+        if let Some(session) = &self.session {
+            config.session = session.clone();
+        }
+        if let Some(path) = &self.replay {
+            acquisition.source = Source::Replay;
+            acquisition.replay.path = Some(path.clone());
+        }
+        if self.replay_rate_hz.is_some() {
+            acquisition.replay.sample_rate_hz = self.replay_rate_hz;
+        }
+        if self.repetition.is_some() {
+            acquisition.replay.repetition = self.repetition;
+        }
+        if let Some(pace) = self.pace {
+            ensure!(
+                acquisition.source == Source::Replay,
+                "--pace is for recordings: name one with --replay PATH"
+            );
+            acquisition.replay.pace = match pace {
+                PaceOption::True => Pace::True,
+                PaceOption::Full => Pace::Full,
+            };
+        }
+        if let Some(script) = &self.script {
+            acquisition.simulate.gestures = Gestures::Script;
+            acquisition.simulate.script = script.clone();
+        }
+        if self.random {
+            acquisition.simulate.gestures = Gestures::Random;
+        }
+        if self.keyboard {
+            acquisition.simulate.gestures = Gestures::Keyboard;
+        }
+        if let Some(seed) = self.seed {
+            acquisition.simulate.seed = seed;
+        }
+        if let Some(strategy) = self.strategy {
+            config.decision.strategy = match strategy {
+                StrategyOption::Threshold => Strategy::Threshold,
+                StrategyOption::Direct => Strategy::Direct,
+            };
+        }
+        if let Some(model) = &self.model {
+            config.inference.model = Some(model.clone());
+        }
+        if let Some(realtime) = self.realtime {
+            config.scheduling.realtime = match realtime {
+                RealtimeOption::Auto => Realtime::Auto,
+                RealtimeOption::On => Realtime::On,
+                RealtimeOption::Off => Realtime::Off,
+            };
+        }
+        for path in [
+            &mut config.acquisition.simulate.profile,
+            &mut config.acquisition.replay.path,
+            &mut config.inference.model,
+            &mut config.inference.runtime_library,
+        ]
+        .into_iter()
+        .flatten()
+        {
+            *path = std::path::absolute(&path)
+                .with_context(|| format!("cannot make {} an absolute path", path.display()))?;
+        }
+        config.check()?;
+        Ok(config)
+    }
+}
+
+/// Runs a session.
+pub fn run(options: &Options) -> Result<(), Failure> {
+    let config = options.configuration().map_err(Failure::input)?;
+    let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
+    // What a killed session of this name left behind goes before anything is opened.
+    Leftovers::remove(&lock, &config.session);
+    let result =
+        check_shared_memory(&config).map_err(Failure::input).and_then(|()| run_locked(options, &config));
+    Leftovers::remove(&lock, &config.session);
+    result
+}
+
+/// Refuses a session that would run out of shared memory, because that kills the process which touches the
+/// page that is missing (SIGBUS).
+fn check_shared_memory(config: &Config) -> anyhow::Result<()> {
+    let needed = required_bytes(&BLOCKS, config.block_length())
+        + required_bytes(&WINDOWS, config.window_length())
+        + required_bytes(&PREDICTIONS, Gesture::COUNT)
+        + required_bytes(&COMMANDS, TWIST_LENGTH)
+        + required_bytes(&STATES, STATE_LENGTH)
+        + Stage::ALL.len() as u64 * required_bytes(&MEASUREMENTS, BATCH_LENGTH);
+    let folder = shared_memory_directory();
+    let free = free_bytes(folder)?;
+    let megabytes = |bytes: u64| bytes.div_ceil(1_000_000);
+    ensure!(
+        needed <= free,
+        "{}: {} MB free, but the session may need {} MB: free some (`tendon doctor`), enlarge it (mount -o \
+         remount,size=… {0}), or take fewer channels or shorter blocks",
+        folder.display(),
+        megabytes(free),
+        megabytes(needed)
+    );
+    Ok(())
+}
+
+/// Free bytes of the file system at `folder`.
+pub fn free_bytes(folder: &Path) -> anyhow::Result<u64> {
+    let status = nix::sys::statvfs::statvfs(folder)
+        .with_context(|| format!("cannot look at {}: is it mounted?", folder.display()))?;
+    Ok(status.blocks_available() * status.fragment_size())
+}
+
+fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
+    let config_file = config.session.runtime_file("toml");
+    std::fs::write(&config_file, config.to_toml())
+        .with_context(|| format!("cannot write {}", config_file.display()))
+        .map_err(Failure::input)?;
+    let (sender, events) = channel();
+    stop_on_signals(&sender).map_err(Failure::running)?;
+    let observer = Observer::open(config, options.latency_log.as_deref()).map_err(Failure::input)?;
+    let children = Children::start(&config_file, &sender).map_err(Failure::input)?;
+    let mut watch = Watch { config, events, children, observer, screen: Screen::new() };
+    let Some(ready) = watch.wait_until_ready()? else {
+        return watch.abandon();
+    };
+    watch.introduce(&ready);
+    let keyboard = if options.keyboard {
+        let keyboard = Keyboard::listen(&sender).map_err(Failure::input)?;
+        watch.screen.show(KEYS);
+        Some(keyboard)
+    } else {
+        None
+    };
+    let watched = watch.until_the_end(options.duration);
+    let report = watch.stop_and_report(&ready);
+    drop(keyboard);
+    watch.screen.finish();
+    let report = report.map_err(Failure::running)?;
+    println!("{}", report.table());
+    if let Some(path) = &options.json {
+        write_json(path, &report).map_err(Failure::running)?;
+    }
+    watched
+}
+
+fn write_json(path: &Path, report: &Report) -> anyhow::Result<()> {
+    let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+    serde_json::to_writer_pretty(file, report).with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn stop_on_signals(events: &Sender<Event>) -> anyhow::Result<()> {
+    let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot handle signals")?;
+    let events = events.clone();
+    std::thread::Builder::new()
+        .name("signals".to_owned())
+        .spawn(move || {
+            for _ in signals.forever() {
+                // Nobody listens any more once the session is over.
+                let _ = events.send(Event::Stop);
+            }
+        })
+        .context("cannot start a thread")?;
+    Ok(())
+}
+
+/// The supervisor's own subscriptions, and what it gathers from them.
+struct Observer {
+    measurements: Subscriber<MeasurementHeader, Measurement>,
+    states: Subscriber<StateHeader, f32>,
+    gathered: SessionMeasurements,
+    state: StateHeader,
+    state_payload: [f32; STATE_LENGTH],
+    log: Option<PathBuf>,
+    // Ports are closed before the membership they belong to.
+    _session: Session,
+}
+
+impl Observer {
+    fn open(config: &Config, log: Option<&Path>) -> anyhow::Result<Observer> {
+        let session = Session::join(&config.session, "supervisor")?;
+        Ok(Observer {
+            measurements: Subscriber::open(&session, &MEASUREMENTS, None, Delivery::Live)?,
+            states: Subscriber::open(&session, &STATES, None, Delivery::Live)?,
+            gathered: SessionMeasurements::default(),
+            state: StateHeader::default(),
+            state_payload: [0.0; STATE_LENGTH],
+            log: log.map(Path::to_owned),
+            _session: session,
+        })
+    }
+
+    /// Takes everything that has come.
+    fn gather(&mut self) -> anyhow::Result<()> {
+        self.measurements.acknowledge_wakes()?;
+        while let Some(batch) = self.measurements.receive()? {
+            self.gathered.absorb(batch.header(), batch.payload());
+        }
+        self.states.acknowledge_wakes()?;
+        while let Some(state) = self.states.receive()? {
+            self.state = *state.header();
+            if let Ok(payload) = state.payload().try_into() {
+                self.state_payload = payload;
+            }
+        }
+        Ok(())
+    }
+
+    fn write_log(&self, length: Duration) -> anyhow::Result<()> {
+        let Some(path) = &self.log else { return Ok(()) };
+        let failed = || format!("cannot write {}", path.display());
+        let mut file = BufWriter::new(File::create(path).with_context(failed)?);
+        let mut serializer = V2DeflateSerializer::new();
+        let mut log = IntervalLogWriterBuilder::new()
+            .add_comment("Tendon: durations in ns, one tag a hop, stage and whole path")
+            .begin_log_with(&mut file, &mut serializer)
+            .with_context(failed)?;
+        self.gathered.write_interval(&mut log, Duration::ZERO, length).with_context(failed)
+    }
+}
+
+/// A running session as the supervisor sees it.
+struct Watch<'a> {
+    config: &'a Config,
+    events: Receiver<Event>,
+    children: Children,
+    observer: Observer,
+    screen: Screen,
+}
+
+/// What is known once all stages are ready.
+struct Started {
+    ready: BTreeMap<Stage, Ready>,
+    at: Instant,
+    cpu_s: BTreeMap<Stage, f64>,
+    own_cpu_s: f64,
+}
+
+impl Watch<'_> {
+    /// Waits until all stages are ready, then lets the source begin; `None` when told to stop before.
+    fn wait_until_ready(&mut self) -> Result<Option<Started>, Failure> {
+        let begun = Instant::now();
+        let mut ready = BTreeMap::new();
+        while ready.len() < Stage::ALL.len() {
+            match self.events.recv_timeout(TICK) {
+                Ok(Event::Ready(stage, message)) => drop(ready.insert(stage, message)),
+                Ok(Event::Stop) => return Ok(None),
+                Ok(Event::Ended(stage)) => return Err(self.ended_early(stage)),
+                Ok(Event::Gesture(_)) | Err(_) => {}
+            }
+            let missing = || -> Vec<&str> {
+                let missing = Stage::ALL.into_iter().filter(|stage| !ready.contains_key(stage));
+                missing.map(Stage::name).collect()
+            };
+            if begun.elapsed() > READY_TIMEOUT {
+                return Err(Failure::running(anyhow::anyhow!(
+                    "{} not ready after {} s: TENDON_LOG=debug shows more",
+                    missing().join(", "),
+                    READY_TIMEOUT.as_secs()
+                )));
+            }
+            if begun.elapsed() > PATIENCE {
+                self.screen.show(&format!("waiting for {}", missing().join(", ")));
+            }
+        }
+        let cpu_s = self
+            .children
+            .process_ids()
+            .filter_map(|(stage, process_id)| Some((stage, resources::cpu_s(process_id)?)))
+            .collect();
+        let own_cpu_s = resources::cpu_s(std::process::id()).unwrap_or_default();
+        for stage in Stage::ALL {
+            self.children.order(stage, Order::Start);
+        }
+        Ok(Some(Started { ready, at: Instant::now(), cpu_s, own_cpu_s }))
+    }
+
+    /// Stops a session that never began.
+    fn abandon(&mut self) -> Result<(), Failure> {
+        self.children.stop(&self.events, || Ok(())).map_err(Failure::running)?;
+        Ok(())
+    }
+
+    fn introduce(&self, started: &Started) {
+        println!("session {}", self.config.session);
+        for stage in Stage::ALL {
+            if let Some(ready) = started.ready.get(&stage) {
+                println!("  {:<12}{}", stage.name(), ready.detail);
+            }
+        }
+        // All stages ask for the same, but for the priority.
+        if let Some(ready) = started.ready.get(&Stage::Dsp) {
+            let shortfall = &ready.scheduling.shortfall;
+            let remark = if shortfall.is_empty() { String::new() } else { format!(" ({shortfall})") };
+            println!("  {:<12}{}{remark}", "scheduling", ready.scheduling);
+        }
+    }
+
+    /// Watches until the time is over, the recording is, somebody says stop, or a stage ends.
+    fn until_the_end(&mut self, duration: Option<Duration>) -> Result<(), Failure> {
+        let begun = Instant::now();
+        loop {
+            match self.events.recv_timeout(TICK) {
+                Ok(Event::Stop) => return Ok(()),
+                Ok(Event::Gesture(gesture)) => {
+                    self.children.order(Stage::Acquisition, Order::Gesture(gesture));
+                }
+                Ok(Event::Ended(stage)) => return Err(self.ended_early(stage)),
+                Ok(Event::Ready(..)) | Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+            self.observer.gather().map_err(Failure::running)?;
+            self.screen.show(&live_line(begun.elapsed(), &self.observer.state, &self.observer.state_payload));
+            if duration.is_some_and(|duration| begun.elapsed() >= duration)
+                || self.observer.gathered.is_drained()
+            {
+                return Ok(());
+            }
+        }
+    }
+
+    /// What to say of a stage that ended by itself. It has said itself why.
+    fn ended_early(&mut self, stage: Stage) -> Failure {
+        self.screen.finish();
+        match self.children.reap(stage) {
+            Ok(Some(status)) => {
+                let error = anyhow::anyhow!("{} ended ({status}): the session is stopped", stage.name());
+                let exit_code = if status.code() == Some(2) { 2 } else { 1 };
+                Failure { error, exit_code }
+            }
+            Ok(None) => Failure::running(anyhow::anyhow!("{} ended: the session is stopped", stage.name())),
+            Err(error) => Failure::running(error),
+        }
+    }
+
+    /// Stops all stages, robot first, and says what was measured.
+    fn stop_and_report(&mut self, started: &Started) -> anyhow::Result<Report> {
+        let duration = started.at.elapsed();
+        let mut cpu_s = BTreeMap::new();
+        let mut memory_mb = BTreeMap::new();
+        for (stage, process_id) in self.children.process_ids() {
+            let before = started.cpu_s.get(&stage).copied().unwrap_or_default();
+            if let Some(seconds) = resources::cpu_s(process_id) {
+                cpu_s.insert(stage.name().to_owned(), seconds - before);
+            }
+            if let Some(megabytes) = resources::memory_mb(process_id) {
+                memory_mb.insert(stage.name().to_owned(), megabytes);
+            }
+        }
+        let own = std::process::id();
+        if let (Some(seconds), Some(megabytes)) = (resources::cpu_s(own), resources::memory_mb(own)) {
+            cpu_s.insert("supervisor".to_owned(), seconds - started.own_cpu_s);
+            memory_mb.insert("supervisor".to_owned(), megabytes);
+        }
+        let observer = &mut self.observer;
+        let killed = self.children.stop(&self.events, || observer.gather())?;
+        self.observer.gather()?;
+        if !killed.is_empty() {
+            bail!("{} did not stop and had to be killed", killed.join(", "));
+        }
+        self.observer.write_log(duration)?;
+        Ok(self.report(started, duration, cpu_s, memory_mb))
+    }
+
+    fn report(
+        &self,
+        started: &Started,
+        duration: Duration,
+        cpu_s: BTreeMap<String, f64>,
+        memory_mb: BTreeMap<String, f64>,
+    ) -> Report {
+        let Config { acquisition, decision, .. } = self.config;
+        let gathered = &self.observer.gathered;
+        let replay_x_real_time = (self.config.delivery() == Delivery::Lossless).then(|| {
+            let blocks = gathered.counts(Stage::Acquisition).published;
+            let samples = blocks as f64 * acquisition.block_samples as f64;
+            samples / acquisition.sample_rate_hz / gathered.flow().as_secs_f64().max(1e-9)
+        });
+        let detail = |stage| started.ready.get(&stage).map_or(String::new(), |ready| ready.detail.clone());
+        let scheduling =
+            |(stage, ready): (&Stage, &Ready)| (stage.name().to_owned(), ready.scheduling.to_string());
+        let [x, y, z] = [7, 8, 9].map(|index| f64::from(self.observer.state_payload[index]));
+        Report {
+            session: self.config.session.to_string(),
+            duration_s: duration.as_secs_f64(),
+            source: match acquisition.source {
+                Source::Simulate => "simulate".to_owned(),
+                Source::Replay => "replay".to_owned(),
+            },
+            robot: "simulate".to_owned(),
+            model: detail(Stage::Inference),
+            strategy: match decision.strategy {
+                Strategy::Threshold => "threshold".to_owned(),
+                Strategy::Direct => "direct".to_owned(),
+            },
+            scheduling: started.ready.iter().map(scheduling).collect(),
+            hops: Vec::new(),
+            work: Vec::new(),
+            newest_sample_to_command: LatencySummary::default(),
+            window_start_to_command: WindowStartSummary::default(),
+            messages: BTreeMap::new(),
+            replaced_samples: 0,
+            allocations: BTreeMap::new(),
+            recognition: Recognition::default(),
+            replay_x_real_time,
+            restarts: 0,
+            cpu_s,
+            memory_mb,
+            final_position_mm: [x, y, z],
+        }
+        .measured(gathered)
+    }
+}
