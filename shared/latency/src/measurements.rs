@@ -138,7 +138,8 @@ impl SessionMeasurements {
             kept.allocations_when_warm = None;
         }
         kept.newest = *header;
-        if kept.allocations_when_warm.is_none() && header.received.max(header.published) >= WARM_UP_MESSAGES {
+        let has_received = header.received >= WARM_UP_MESSAGES || stage.upstream().is_none();
+        if kept.allocations_when_warm.is_none() && has_received && header.published >= WARM_UP_MESSAGES {
             kept.allocations_when_warm = Some(header.allocations);
         }
         for measurement in batch {
