@@ -15,7 +15,7 @@ use tendon_config::{Realtime, SchedulingSettings};
 use tendon_latency::LatencySummary;
 use tendon_messages::Stage;
 use tendon_process::{Control, Policy, Scheduling, Wake, schedule};
-use tendon_transport::{Leftovers, SessionLock, now_ns};
+use tendon_transport::{Leftovers, SessionLock, SessionName, now_ns};
 
 use crate::busy;
 use crate::child::Child;
@@ -184,10 +184,10 @@ struct Ratio {
 
 /// Measures and prints all lanes: idle and saturated, with real-time scheduling and without.
 pub fn measure(seconds: f64, rate_hz: f64) -> anyhow::Result<HopReport> {
-    if !(seconds.is_finite() && seconds > 0.0) || !(1.0..=10_000.0).contains(&rate_hz) {
+    if !(seconds.is_finite() && seconds > 0.0 && (1.0..=10_000.0).contains(&rate_hz)) {
         bail!("--seconds {seconds} --rate-hz {rate_hz}: give more than 0 s, and 1 to 10 000 Hz");
     }
-    let _locks = clean_up()?;
+    let locks = take_sessions()?;
     let turns =
         Turns { turns: (seconds / TURN_S).ceil() as u64, turn_messages: (TURN_S * rate_hz).ceil() as u64 };
     println!(
@@ -202,21 +202,27 @@ pub fn measure(seconds: f64, rate_hz: f64) -> anyhow::Result<HopReport> {
             }
         }
     }
-    clean_up()?;
+    remove_leftovers(&locks);
     Ok(HopReport { rate_hz, block_samples: BLOCK_SAMPLES, conditions })
 }
 
-/// Takes the sessions of all lanes and removes what an earlier, broken-off run left in them.
-fn clean_up() -> anyhow::Result<Vec<SessionLock>> {
-    let mut names: Vec<_> = Lane::all().into_iter().map(Lane::session_name).collect();
-    names.sort_by_key(ToString::to_string);
-    names.dedup();
-    let clean = |name| -> anyhow::Result<SessionLock> {
-        let lock = SessionLock::take(name).context("is another benchmark running?")?;
-        Leftovers::remove(&lock, name);
-        Ok(lock)
-    };
-    names.iter().map(clean).collect()
+/// Takes the sessions that the lanes use and removes what an earlier, broken-off run left in them.
+fn take_sessions() -> anyhow::Result<Vec<(SessionName, SessionLock)>> {
+    let mut sessions: Vec<(SessionName, SessionLock)> = Vec::new();
+    for name in Lane::all().into_iter().map(Lane::session_name) {
+        if sessions.iter().all(|(taken, _)| *taken != name) {
+            let lock = SessionLock::take(&name).context("is another benchmark running?")?;
+            sessions.push((name, lock));
+        }
+    }
+    remove_leftovers(&sessions);
+    Ok(sessions)
+}
+
+fn remove_leftovers(sessions: &[(SessionName, SessionLock)]) {
+    for (name, lock) in sessions {
+        Leftovers::remove(lock, name);
+    }
 }
 
 /// `None` when real-time scheduling is wanted and not to be had.

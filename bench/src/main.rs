@@ -21,6 +21,7 @@ mod transports;
 mod work;
 
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
@@ -77,8 +78,17 @@ struct Report {
     replay: Option<replay::Replay>,
 }
 
-fn main() -> anyhow::Result<()> {
-    let arguments = Arguments::parse();
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("bench: error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(Command::Send(_) | Command::Receive(_) | Command::Busy { .. }) = &arguments.command {
         // However the parent ends, nothing it started goes on.
         set_pdeathsig(Signal::SIGKILL).context("cannot ask to end with the parent")?;
