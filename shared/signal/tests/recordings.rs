@@ -126,5 +126,5 @@ fn seldom_active_at_rest_and_nearly_always_in_a_gesture() {
          {later_per_minute:.2} in the rests of other repetitions; movement in {:.1} % of the gesture samples",
         100.0 * move_share
     );
-    assert!(half_per_minute < 0.5 && later_per_minute < 1.0 && move_share > 0.98);
+    assert!(half_per_minute < 0.5 && later_per_minute < 1.0 && move_share > 0.96);
 }
