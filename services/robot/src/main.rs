@@ -3,7 +3,7 @@
 //! ```text
 //! command ─▶ fresh? ─▶ target twist ─┐
 //!                                    ├─▶ 250 Hz: ramp, limits, joints ─▶ state
-//! 150 ms of silence ─▶ target zero ──┘
+//! 150 ms of silence ─▶ target zero ──┘   50 Hz while still
 //! ```
 //!
 //! Live, the arm's time is the clock. In a lossless replay it is the time of the samples, so that the arm
@@ -22,6 +22,9 @@ use tendon_messages::{
 };
 use tendon_process::{StageProcess, Wake};
 use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
+
+/// Time between two states while nothing moves, ns. A command ends it.
+const STILL_PERIOD_NS: u64 = 20_000_000;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Robot, |process| {
@@ -84,14 +87,17 @@ impl Robot {
                         process.measurements.counts.received = commands.received();
                         process.measurements.counts.lost = commands.lost();
                     }
+                    // A command may have set the still arm in motion.
+                    tick_ns = tick_ns.min(now_ns() + STEP_NS);
                 }
                 Wake::Deadline if self.delivery == Delivery::Live => {
                     let now_ns = now_ns();
                     self.arm.tick(now_ns);
                     self.publish_state(process)?;
                     process.measurements.publish_if_due()?;
+                    let period_ns = if self.arm.is_still() { STILL_PERIOD_NS } else { STEP_NS };
                     // After a stall the ticks that were missed are not made up for.
-                    tick_ns = (tick_ns + STEP_NS).max(now_ns);
+                    tick_ns = (tick_ns + period_ns).max(now_ns);
                 }
                 Wake::Deadline => process.measurements.publish_if_due()?,
             }

@@ -102,7 +102,12 @@ impl TwistRamp {
 
     /// Whether nothing moves and nothing will before the next command.
     pub fn is_at_rest(&self) -> bool {
-        self.deadline_ns.is_none() && self.target == Twist::ZERO && self.velocity == Twist::ZERO
+        self.deadline_ns.is_none() && self.is_still()
+    }
+
+    /// Whether the velocity is zero and is to stay so until a command says otherwise.
+    pub fn is_still(&self) -> bool {
+        self.target == Twist::ZERO && self.velocity == Twist::ZERO
     }
 }
 

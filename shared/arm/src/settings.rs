@@ -1,4 +1,4 @@
-//! Settings of the arm, as `[arm]` in a configuration holds them.
+//! Settings of the arm, as `[robot.arm]` in a configuration holds them.
 
 use serde::{Deserialize, Serialize};
 

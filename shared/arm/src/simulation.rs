@@ -112,18 +112,17 @@ impl SimulatedArm {
         }
     }
 
+    /// Whether nothing moves and nothing is told to.
+    pub fn is_still(&self) -> bool {
+        self.ramp.is_still() && self.gripper_pulses == self.gripper_target_pulses
+    }
+
     /// Takes one step of [`STEP_NS`].
     pub fn step(&mut self) {
         let twist = self.ramp.advance(self.now_ns, STEP_S);
-        // Midpoint rule: its error a step is of third order, so that orientation does not drift in hours of use.
-        let begin = joint_velocities(&self.arm, &self.joints_rad, &twist);
-        let middle_rad = self.joints_rad + begin.rad_per_s * (0.5 * STEP_S);
-        let middle = joint_velocities(&self.arm, &middle_rad, &twist);
-        // The limits held at the midpoint, the end of the step may be a rounding beyond.
-        self.joints_rad =
-            (self.joints_rad + middle.rad_per_s * STEP_S).sup(&LOWER_LIMITS_RAD).inf(&UPPER_LIMITS_RAD);
-        self.ramp.slow_to(middle.scale);
-
+        if twist != Twist::ZERO {
+            self.move_joints(&twist);
+        }
         let travel = self.settings.gripper_speed_pulses_per_s * STEP_S;
         let left = self.gripper_target_pulses - self.gripper_pulses;
         if left.abs() <= travel {
@@ -132,6 +131,17 @@ impl SimulatedArm {
             self.gripper_pulses += travel.copysign(left);
         }
         self.now_ns += STEP_NS;
+    }
+
+    fn move_joints(&mut self, twist: &Twist) {
+        // Midpoint rule: its error a step is of third order, so that orientation does not drift in hours of use.
+        let begin = joint_velocities(&self.arm, &self.joints_rad, twist);
+        let middle_rad = self.joints_rad + begin.rad_per_s * (0.5 * STEP_S);
+        let middle = joint_velocities(&self.arm, &middle_rad, twist);
+        // The limits held at the midpoint, the end of the step may be a rounding beyond.
+        self.joints_rad =
+            (self.joints_rad + middle.rad_per_s * STEP_S).sup(&LOWER_LIMITS_RAD).inf(&UPPER_LIMITS_RAD);
+        self.ramp.slow_to(middle.scale);
     }
 
     /// The state at the end of the last step.

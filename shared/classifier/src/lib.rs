@@ -12,7 +12,9 @@ mod locate;
 mod run;
 
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
+use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::ValueType;
@@ -90,12 +92,7 @@ impl Classifier {
     pub fn load(library: &Path, model: &Path) -> Result<Classifier, ClassifierError> {
         let library_error =
             |reason: String| ClassifierError::RuntimeLibrary { path: library.to_owned(), reason };
-        let environment = ort::init_from(library)
-            .map_err(|error| library_error(error.to_string()))?
-            .with_name("tendon")
-            .with_telemetry(false)
-            .build()
-            .map_err(|error| library_error(error.to_string()))?;
+        let environment = environment(library).map_err(library_error)?;
         let model_error =
             |reason: String| ClassifierError::Model { path: model.to_owned(), reason: one_line(&reason) };
         if !model.is_file() {
@@ -118,7 +115,7 @@ impl Classifier {
         };
         let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
         let shape = [1, contract.channels as i64, contract.window_samples as i64];
-        let runner = Runner::new(environment, session, [&input, &output], shape, contract.classes.len())
+        let runner = Runner::new(session, [&input, &output], shape, contract.classes.len())
             .map_err(|error| model_error(error.to_string()))?;
         Ok(Classifier { contract, runner, probabilities: [0.0; Gesture::COUNT] })
     }
@@ -142,6 +139,22 @@ impl Classifier {
         }
         Ok(&self.probabilities)
     }
+}
+
+/// The process's one ONNX Runtime environment: a second one is refused, and so is a second library.
+fn environment(library: &Path) -> Result<Environment, String> {
+    static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
+    let mut environment = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(environment) = &*environment {
+        return Ok(environment.clone());
+    }
+    let made = ort::init_from(library)
+        .map_err(|error| error.to_string())?
+        .with_name("tendon")
+        .with_telemetry(false)
+        .build()
+        .map_err(|error| error.to_string())?;
+    Ok(environment.insert(made).clone())
 }
 
 /// Names of the model's one input and one output, if their shapes are what the contract says.

@@ -9,7 +9,6 @@ use std::fmt;
 use std::ptr::{null, null_mut};
 
 use ort::AsPointer;
-use ort::environment::Environment;
 use ort::memory::{AllocationDevice, AllocatorType, MemoryInfo, MemoryType};
 use ort::session::Session;
 use ort::sys;
@@ -25,8 +24,6 @@ pub(crate) struct Runner {
     output_tensor: Tensor,
     memory: MemoryInfo<'static>,
     session: Session,
-    /// The session works only as long as its environment lives.
-    _environment: Environment,
 }
 
 impl fmt::Debug for Runner {
@@ -37,7 +34,6 @@ impl fmt::Debug for Runner {
 
 impl Runner {
     pub(crate) fn new(
-        environment: Environment,
         session: Session,
         [input_name, output_name]: [&str; 2],
         shape: [i64; 3],
@@ -59,7 +55,6 @@ impl Runner {
             output_tensor,
             memory,
             session,
-            _environment: environment,
         })
     }
 

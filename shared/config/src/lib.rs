@@ -284,6 +284,14 @@ pub enum ConfigError {
         /// The nearest known key, as a sentence; empty when there is none.
         suggestion: String,
     },
+    /// Values of a section cannot work.
+    #[error("[{section}] {reason}")]
+    Section {
+        /// Name of the section.
+        section: &'static str,
+        /// Which key, and what to do.
+        reason: String,
+    },
     /// A value cannot work.
     #[error("{key} = {value}: {remedy}")]
     Value {
@@ -381,7 +389,7 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// [`ConfigError::Value`] for the first that does not.
+    /// [`ConfigError::Value`] or [`ConfigError::Section`] for the first that does not.
     pub fn check(&self) -> Result<(), ConfigError> {
         let acquisition = &self.acquisition;
         let value = |key, value: String, remedy: &str| {
@@ -428,10 +436,9 @@ impl Config {
                 );
             }
         }
-        let invalid = |key, error: &dyn std::fmt::Display| ConfigError::Value {
-            key,
-            value: "…".to_owned(),
-            remedy: error.to_string(),
+        let invalid = |section, error: &dyn std::fmt::Display| ConfigError::Section {
+            section,
+            reason: error.to_string(),
         };
         tendon_signal::SignalChain::new(&self.dsp, acquisition.channels, acquisition.sample_rate_hz)
             .map_err(|error| invalid("dsp", &error))?;

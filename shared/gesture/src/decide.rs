@@ -46,7 +46,7 @@ impl Default for DecisionSettings {
 
 /// A setting of the decision stage that cannot work.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("decision.{setting} = {value}: {remedy}")]
+#[error("{setting} = {value}: {remedy}")]
 pub struct InvalidDecisionSetting {
     /// Key of the setting.
     pub setting: &'static str,
@@ -91,7 +91,7 @@ pub struct Evidence<'a> {
     pub moving: bool,
     /// The window's samples are whole: none had to be replaced.
     pub intact: bool,
-    /// When the window's newest sample was captured, in ns of any steady clock.
+    /// When the window was captured, in ns of any steady clock.
     pub captured_ns: u64,
 }
 
@@ -323,7 +323,7 @@ mod tests {
     fn settings_out_of_range_are_named() {
         let error =
             Decider::new(&DecisionSettings { vote_windows: 0, ..DecisionSettings::default() }).unwrap_err();
-        assert_eq!(error.to_string(), "decision.vote_windows = 0: take 1 to 15 windows");
+        assert_eq!(error.to_string(), "vote_windows = 0: take 1 to 15 windows");
     }
 
     fn gestures() -> impl proptest::strategy::Strategy<Value = Vec<(Gesture, bool)>> {

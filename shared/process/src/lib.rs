@@ -175,7 +175,11 @@ fn prepare(stage: Stage, arguments: &Arguments) -> anyhow::Result<StageProcess> 
     let config = Config::read(&arguments.config)?;
     config.check()?;
     let control = Control::install()?;
-    let scheduling = scheduling::schedule(&config.scheduling, stage)?;
+    let scheduling = match config.delivery() {
+        Delivery::Live => scheduling::schedule(&config.scheduling, stage)?,
+        // Nothing is urgent in a replay at full speed: it takes all cores, and lets others have theirs.
+        Delivery::Lossless => Scheduling::untouched(),
+    };
     let session = Session::join(&config.session, stage.name())?;
     let measurements = Measurements::open(&session, stage)?;
     Ok(StageProcess { stage, config, session, control, measurements, scheduling })

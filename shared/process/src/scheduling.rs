@@ -51,6 +51,18 @@ pub enum Policy {
     Default,
 }
 
+impl Scheduling {
+    /// What a process has that asked for nothing.
+    pub fn untouched() -> Scheduling {
+        Scheduling {
+            policy: Policy::Default,
+            memory_locked: false,
+            core: None,
+            shortfall: "replay at full speed".to_owned(),
+        }
+    }
+}
+
 impl fmt::Display for Scheduling {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.policy {

@@ -281,7 +281,7 @@ impl SessionLock {
             SessionLockError::File(SessionError::RuntimeDirectory { path: path.to_owned(), source })
         };
         std::fs::create_dir_all(&directory).map_err(|error| failed(&directory, error))?;
-        let path = directory.join(format!("{session}.lock"));
+        let path = directory.join(format!("lock.{session}"));
         let file = OpenOptions::new()
             .create(true)
             .truncate(false)
