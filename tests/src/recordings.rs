@@ -1,0 +1,85 @@
+//! Recordings to replay: made here, the same every time, or real ones where there are any.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Channels of every recording made here.
+pub const CHANNELS: usize = 4;
+
+/// Noise whose amplitude says who is moving: a stretch of a pseudo-EMG.
+#[derive(Clone, Copy, Debug)]
+pub struct Stretch {
+    /// Samples of each channel.
+    pub samples: usize,
+    /// Amplitude of each channel.
+    pub amplitudes: [f32; CHANNELS],
+}
+
+/// Rest: little on all channels.
+pub const REST: [f32; CHANNELS] = [10.0; CHANNELS];
+/// Some movement: much, unevenly.
+pub const MOVEMENT: [f32; CHANNELS] = [800.0, 300.0, 500.0, 150.0];
+
+/// White noise in the stretches' amplitudes, frame by frame, the same every time.
+#[derive(Debug)]
+pub struct PseudoEmg {
+    state: u64,
+}
+
+impl Default for PseudoEmg {
+    fn default() -> Self {
+        PseudoEmg { state: 1 }
+    }
+}
+
+impl PseudoEmg {
+    /// The next sample of every channel.
+    pub fn frame(&mut self, amplitudes: [f32; CHANNELS]) -> [f32; CHANNELS] {
+        amplitudes.map(|amplitude| amplitude * self.uniform())
+    }
+
+    /// Between -1 and 1: Knuth's linear congruential generator (MMIX).
+    fn uniform(&mut self) -> f32 {
+        self.state =
+            self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.state >> 40) as f32 / (1 << 23) as f32 - 1.0
+    }
+}
+
+/// Writes the stretches as a table, one line a sample, one column a channel.
+pub fn write_table(path: &Path, stretches: &[Stretch]) {
+    let mut emg = PseudoEmg::default();
+    let mut text = String::new();
+    for stretch in stretches {
+        for _ in 0..stretch.samples {
+            let [a, b, c, d] = emg.frame(stretch.amplitudes);
+            writeln!(text, "{a:.2},{b:.2},{c:.2},{d:.2}").unwrap();
+        }
+    }
+    std::fs::write(path, text).unwrap();
+}
+
+/// Writes a folder of the 3DC layout (1000 Hz), whose one repetition is 6 s of rest, 3 s with the cue
+/// extension and 3 s with the cue grip. Its cues make recognition count windows.
+pub fn write_three_dc(folder: &Path) {
+    std::fs::create_dir_all(folder).unwrap();
+    let grip = [200.0, 900.0, 100.0, 600.0];
+    // Numbers of the data set: 0 rest, 4 extension, 7 grip.
+    for (number, samples, amplitudes) in [(0, 6000, REST), (4, 3000, MOVEMENT), (7, 3000, grip)] {
+        let file = folder.join(format!("3dc_EMG_gesture_0_{number}.txt"));
+        write_table(&file, &[Stretch { samples, amplitudes }]);
+    }
+}
+
+/// The EMG folder of one person of the real 3DC recordings: below `TENDON_SHARED`, else in the folder
+/// `shared` beside the project. `None`, and a word about it, when there are none.
+pub fn real_three_dc() -> Option<PathBuf> {
+    let shared = std::env::var_os("TENDON_SHARED")
+        .map_or_else(|| crate::repository().join("../shared"), PathBuf::from);
+    let folder = shared.join("data/3dc/Participant1/train/EMG");
+    if folder.is_dir() {
+        return folder.canonicalize().ok();
+    }
+    println!("skipped: recordings not found");
+    None
+}
