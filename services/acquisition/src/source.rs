@@ -77,7 +77,7 @@ impl Source {
     }
 
     fn replay(settings: &AcquisitionSettings) -> anyhow::Result<Source> {
-        let recording = settings.replay.recording();
+        let recording = settings.replay.recording(settings.channels);
         let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
         let summary = tendon_recordings::check(path, &recording)?;
         for notice in &summary.notices {

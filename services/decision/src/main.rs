@@ -29,6 +29,7 @@ fn main() -> ExitCode {
             last_first_sample: None,
         };
         let predictions = Subscriber::open(&process.session, &PREDICTIONS, Some(Stage::Decision), delivery)?;
+        process.connect(&predictions)?;
         process.ready(&format!("strategy {:?}", process.config.decision.strategy).to_lowercase())?;
         Ok(move |process: &mut StageProcess| {
             process.consume(predictions, move |process, prediction| decision.take(process, &prediction))

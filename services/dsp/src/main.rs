@@ -32,6 +32,7 @@ fn main() -> ExitCode {
             calibrated: false,
         };
         let blocks = Subscriber::open(&process.session, &BLOCKS, Some(Stage::Dsp), delivery)?;
+        process.connect(&blocks)?;
         process.ready(&format!(
             "windows of {} samples every {}",
             process.config.dsp.windows.window_samples, process.config.dsp.windows.increment_samples

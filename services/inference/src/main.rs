@@ -51,6 +51,7 @@ fn main() -> ExitCode {
         )?;
         let windows = Subscriber::open(&process.session, &WINDOWS, Some(Stage::Inference), delivery)?;
         let mut inference = Inference { classifier, predictions };
+        process.connect(&windows)?;
         process.ready(&model.display().to_string())?;
         Ok(move |process: &mut StageProcess| {
             process.consume(windows, move |process, window| inference.take(process, &window))

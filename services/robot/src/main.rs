@@ -43,6 +43,7 @@ fn main() -> ExitCode {
             state: StateHeader::default(),
         };
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
+        process.connect(&commands)?;
         process.ready("simulated xArm7")?;
         Ok(move |process: &mut StageProcess| robot.run(process, commands))
     })

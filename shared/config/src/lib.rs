@@ -178,8 +178,9 @@ pub enum Pace {
 pub struct ReplaySettings {
     /// A folder of the 3DC layout, one of its files, or a plain table (CSV).
     pub path: Option<PathBuf>,
-    /// Which channels of the recording, by number from 0 or by column name.
-    pub channels: Vec<Channel>,
+    /// Which channels of the recording, by number from 0 or by column name. When left out: of a 3DC recording,
+    /// the four that the models were trained on; of a table, its first columns.
+    pub channels: Option<Vec<Channel>>,
     /// Sampling rate of a plain table, Hz.
     pub sample_rate_hz: Option<f64>,
     /// Of a 3DC folder, only this repetition; all in order when left out.
@@ -192,7 +193,7 @@ impl Default for ReplaySettings {
     fn default() -> Self {
         ReplaySettings {
             path: None,
-            channels: [0, 3, 5, 8].map(Channel::Index).to_vec(),
+            channels: None,
             sample_rate_hz: None,
             repetition: None,
             pace: Pace::True,
@@ -303,6 +304,9 @@ pub enum ConfigError {
         remedy: String,
     },
 }
+
+/// Channels of the 3DC armband that stand for the paper's four electrodes.
+const MODEL_CHANNELS_OF_THREE_DC: [usize; 4] = [0, 3, 5, 8];
 
 /// Most channels a session may have; beyond it a header is more likely damaged than meant.
 const MAXIMUM_CHANNELS: usize = 1024;
@@ -428,10 +432,11 @@ impl Config {
                     "name the recording, or use --replay PATH",
                 );
             }
-            if acquisition.replay.channels.len() != acquisition.channels {
+            let chosen = acquisition.replay.channels.as_ref().map_or(acquisition.channels, Vec::len);
+            if chosen != acquisition.channels {
                 return value(
                     "acquisition.replay.channels",
-                    format!("{} channels", acquisition.replay.channels.len()),
+                    format!("{chosen} channels"),
                     &format!("name as many as acquisition.channels says: {}", acquisition.channels),
                 );
             }
@@ -498,10 +503,15 @@ impl SimulateSettings {
 }
 
 impl ReplaySettings {
-    /// How the recording is read.
-    pub fn recording(&self) -> RecordingSettings {
+    /// How the recording is read for a session of so many channels.
+    pub fn recording(&self, channels: usize) -> RecordingSettings {
+        let is_three_dc = self.path.as_deref().is_some_and(tendon_recordings::is_three_dc);
+        let default = || match channels {
+            4 if is_three_dc => MODEL_CHANNELS_OF_THREE_DC.map(Channel::Index).to_vec(),
+            _ => (0..channels).map(Channel::Index).collect(),
+        };
         RecordingSettings {
-            channels: self.channels.clone(),
+            channels: self.channels.clone().unwrap_or_else(default),
             sample_rate_hz: self.sample_rate_hz,
             repetition: self.repetition,
         }
@@ -560,6 +570,7 @@ mod tests {
         config.acquisition.simulate.clip_at = Some(1.0);
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.sample_rate_hz = Some(1.0);
+        config.acquisition.replay.channels = Some(vec![]);
         config.acquisition.replay.repetition = Some(0);
         config.inference.model = Some("x".into());
         config.inference.runtime_library = Some("x".into());
@@ -573,7 +584,7 @@ mod tests {
         let mut config = Config::default();
         config.acquisition.simulate.clip_at = Some(100.0);
         config.acquisition.replay.path = Some("recording.csv".into());
-        config.acquisition.replay.channels = vec![Channel::Index(2), Channel::Name("biceps".into())];
+        config.acquisition.replay.channels = Some(vec![Channel::Index(2), Channel::Name("biceps".into())]);
         assert_eq!(parse(&config.to_toml()).unwrap(), config);
     }
 
@@ -603,12 +614,22 @@ mod tests {
     }
 
     #[test]
+    fn a_table_gives_its_first_columns_and_a_3dc_recording_the_models_channels() {
+        let channels = |path: &str| {
+            let replay = ReplaySettings { path: Some(path.into()), ..ReplaySettings::default() };
+            replay.recording(4).channels
+        };
+        assert_eq!(channels("emg.csv"), [0, 1, 2, 3].map(Channel::Index));
+        assert_eq!(channels("EMG/3dc_EMG_gesture_0_1.txt"), [0, 3, 5, 8].map(Channel::Index));
+    }
+
+    #[test]
     fn settings_that_do_not_fit_each_other_are_refused() {
         let mut config = Config::default();
         config.acquisition.source = Source::Replay;
         assert!(config.check().unwrap_err().to_string().contains("--replay PATH"));
         config.acquisition.replay.path = Some("x".into());
-        config.acquisition.channels = 3;
+        config.acquisition.replay.channels = Some(vec![Channel::Index(0)]);
         assert!(config.check().unwrap_err().to_string().contains("as many as acquisition.channels"));
     }
 

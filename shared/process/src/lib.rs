@@ -73,7 +73,20 @@ pub struct StageProcess {
 }
 
 impl StageProcess {
-    /// Says that the process is ready: its ports are open and it is warm.
+    /// Waits until the stage before has opened `input`'s topic, and connects to it, so that no message is
+    /// published to a port that is not yet connected. Returns early when told to stop.
+    ///
+    /// # Errors
+    ///
+    /// When the other's memory cannot be mapped.
+    pub fn connect<H: Traced, E: Element>(&mut self, input: &Subscriber<H, E>) -> anyhow::Result<()> {
+        while !input.connect()? && self.control.wait(Some(input.as_fd()), None)? != Wake::Stop {
+            input.acknowledge_wakes()?;
+        }
+        Ok(())
+    }
+
+    /// Says that the process is ready: its ports are open and connected, and it is warm.
     ///
     /// # Errors
     ///

@@ -25,4 +25,6 @@ pub use error::RecordingError;
 pub use replay::{ReplayBlock, ReplayStream};
 pub use source::{CueSpan, Frame, Notice, RecordingSettings, RecordingSource, Segment, Summary, check};
 pub use table::Channel;
-pub use three_dc::{SAMPLE_RATE_HZ as THREE_DC_SAMPLE_RATE_HZ, repetitions as three_dc_repetitions};
+pub use three_dc::{
+    SAMPLE_RATE_HZ as THREE_DC_SAMPLE_RATE_HZ, is_three_dc, repetitions as three_dc_repetitions,
+};

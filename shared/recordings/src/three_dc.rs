@@ -59,6 +59,11 @@ pub(crate) fn list(folder: &Path) -> Result<BTreeMap<u32, BTreeMap<u32, PathBuf>
     Ok(repetitions)
 }
 
+/// Whether `path` is of this layout: a folder of it, or one of its files by name.
+pub fn is_three_dc(path: &Path) -> bool {
+    path.is_dir() || parse_file_name(path).is_some()
+}
+
 /// The numbers of the repetitions that a 3DC `EMG` folder holds, in order; empty if it is no such folder.
 ///
 /// # Errors

@@ -104,6 +104,8 @@ impl<H: Traced, E: Element> Publisher<H, E> {
             .notifier_builder()
             .create()
             .map_err(|error| session.port_error(topic.name, &error))?;
+        // Subscribers that were there before connect now.
+        notifier.notify().map_err(|error| session.port_error(topic.name, &error))?;
         Ok(Publisher {
             topic: topic.name,
             stage: topic.publisher,

@@ -2,7 +2,8 @@
 
 use core::fmt::{self, Debug, Display};
 use std::fs::{File, OpenOptions};
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{Read, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -247,7 +248,15 @@ impl Session {
 /// The right to be the one supervisor of a session; given back when dropped or when the process dies.
 #[derive(Debug)]
 pub struct SessionLock {
+    path: PathBuf,
     _file: Flock<File>,
+}
+
+impl Drop for SessionLock {
+    fn drop(&mut self) {
+        // While still locked, so that nobody else's file goes; one that stays is no harm.
+        let _ = std::fs::remove_file(&self.path);
+    }
 }
 
 /// Why a session cannot be taken.
@@ -282,29 +291,32 @@ impl SessionLock {
         };
         std::fs::create_dir_all(&directory).map_err(|error| failed(&directory, error))?;
         let path = directory.join(format!("lock.{session}"));
-        let file = OpenOptions::new()
-            .create(true)
-            .truncate(false)
-            .read(true)
-            .write(true)
-            .open(&path)
-            .map_err(|error| failed(&path, error))?;
-        match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
-            Ok(mut file) => {
-                let write = |file: &mut File| {
-                    file.set_len(0)?;
-                    write!(file, "{}", std::process::id())
-                };
-                write(&mut file).map_err(|error| failed(&path, error))?;
-                Ok(SessionLock { _file: file })
-            }
-            Err((mut file, _)) => {
-                let mut process_id = String::new();
-                let read = file.seek(SeekFrom::Start(0)).and_then(|_| file.read_to_string(&mut process_id));
-                if read.is_err() || process_id.is_empty() {
-                    process_id = "(unknown)".to_owned();
+        loop {
+            let file = OpenOptions::new()
+                .create(true)
+                .truncate(false)
+                .read(true)
+                .write(true)
+                .open(&path)
+                .map_err(|error| failed(&path, error))?;
+            match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
+                Ok(mut file) => {
+                    // The holder before may have removed the file between our opening and our locking it.
+                    if file.metadata().map_err(|error| failed(&path, error))?.nlink() == 0 {
+                        continue;
+                    }
+                    // A holder that was killed left its number.
+                    file.set_len(0).map_err(|error| failed(&path, error))?;
+                    write!(file, "{}", std::process::id()).map_err(|error| failed(&path, error))?;
+                    return Ok(SessionLock { path, _file: file });
                 }
-                Err(SessionLockError::InUse { session: session.clone(), process_id })
+                Err((mut file, _)) => {
+                    let mut process_id = String::new();
+                    if file.read_to_string(&mut process_id).is_err() || process_id.is_empty() {
+                        process_id = "(unknown)".to_owned();
+                    }
+                    return Err(SessionLockError::InUse { session: session.clone(), process_id });
+                }
             }
         }
     }

@@ -5,8 +5,10 @@ use std::os::fd::{AsFd, BorrowedFd};
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::subscriber::Subscriber as Port;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{FileDescriptorBased, ipc};
 use iceoryx2::sample::Sample;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use tendon_messages::{Stage, Topic, Trace, Traced};
 
 use crate::clock::now_ns;
@@ -29,6 +31,7 @@ pub struct ReceiveError {
 pub struct Subscriber<H: Traced, E: Element> {
     topic: &'static str,
     stage: Option<Stage>,
+    service: PortFactory<ipc::Service, [E], H>,
     port: Port<ipc::Service, [E], H>,
     listener: Listener<ipc::Service>,
     gaps: GapCount,
@@ -48,8 +51,8 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
         stage: Option<Stage>,
         delivery: Delivery,
     ) -> Result<Self, SessionError> {
-        let port = session
-            .topic(topic, delivery)?
+        let service = session.topic(topic, delivery)?;
+        let port = service
             .subscriber_builder()
             .buffer_size(topic.buffer)
             .create()
@@ -59,7 +62,24 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
             .listener_builder()
             .create()
             .map_err(|error| session.port_error(topic.name, &error))?;
-        Ok(Subscriber { topic: topic.name, stage, port, listener, gaps: GapCount::default(), received: 0 })
+        let gaps = GapCount::default();
+        Ok(Subscriber { topic: topic.name, stage, service, port, listener, gaps, received: 0 })
+    }
+
+    /// Connects to the publishers that there are; `false` when there is none yet. One that comes later wakes
+    /// this port.
+    ///
+    /// Until this port has connected, by this or by [`Subscriber::receive`], its publisher cannot tell it from
+    /// one that is gone, and drops what no longer fits the queue, even with [`Delivery::Lossless`].
+    ///
+    /// # Errors
+    ///
+    /// [`ReceiveError`] when the publisher's memory cannot be mapped.
+    pub fn connect(&self) -> Result<bool, ReceiveError> {
+        // In this order: a publisher that comes in between is connected to, or wakes this port.
+        let has_publisher = self.service.dynamic_config().number_of_publishers() > 0;
+        self.port.update_connections().map_err(|error| self.error(&error))?;
+        Ok(has_publisher)
     }
 
     /// Takes back the wakes that have come so far. Call it after the file descriptor became readable and
