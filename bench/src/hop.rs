@@ -302,7 +302,7 @@ fn ratios(lanes: &[LaneTransit]) -> Vec<Ratio> {
 
 impl Condition {
     fn print(&self) {
-        let load = if self.saturated { "every core saturated" } else { "cores idle" };
+        let load = if self.saturated { "every core saturated" } else { "no load added" };
         println!("\n{load}; sender {}", self.scheduling);
         println!("  {:<14} {:>8}  {}", "transport", "channels", crate::COLUMNS);
         for LaneTransit { transport, channels, transit } in &self.lanes {
