@@ -267,13 +267,13 @@ fn samples_that_are_no_numbers_are_replaced_counted_and_taken_for_rest() {
     let path = folder.path().join("tendon.toml");
     let config = configure_without_acquisition(&name, &path);
     let lock = SessionLock::take(&name).unwrap();
-    let stages = ["dsp", "inference", "decision", "robot"].map(|stage| StageAlone::start(stage, &path));
-
     let session = Session::join(&name, "test").unwrap();
-    let mut sink = Sink::open(&session);
     let mut blocks =
         Publisher::open(&session, &BLOCKS, config.block_length(), Delivery::Lossless, Arc::default())
             .unwrap();
+    let stages = ["dsp", "inference", "decision", "robot"].map(|stage| StageAlone::start(stage, &path));
+    let mut sink = Sink::open(&session);
+
     let block_samples = config.acquisition.block_samples;
     let mut emg = PseudoEmg::default();
     let broken = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];

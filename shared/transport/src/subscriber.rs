@@ -8,6 +8,7 @@ use iceoryx2::port::subscriber::Subscriber as Port;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{FileDescriptorBased, ipc};
 use iceoryx2::sample::Sample;
+use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use tendon_messages::{Stage, Topic, Trace, Traced};
 
