@@ -1,13 +1,14 @@
-//! Measures what Tendon's design promises, in one run on one machine: hops beside their peers, the stages'
-//! work alone, and replay at full speed.
+//! Measures what Tendon's design promises, in one run on one machine: hops beside their peers, live sessions,
+//! the stages' work alone, and replay at full speed.
 //!
 //! ```text
 //! bench ─┬─ hop ────▶ send ──200 messages/s──▶ receive (one a lane)     idle, then beside `busy`, one a core
+//!        ├─ live ───▶ tendon run --duration …
 //!        ├─ work ───▶ in this process
 //!        └─ replay ─▶ tendon run --config …
 //! ```
 //!
-//! `send`, `receive` and `busy` are this same program, started by `hop`. Numbers of a shared machine vary
+//! `send`, `receive` and `busy` are this same program. Numbers of a shared machine vary
 //! from run to run; what is compared is measured in turns within one run.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout)]
@@ -16,7 +17,9 @@ mod busy;
 mod child;
 mod emg;
 mod hop;
+mod live;
 mod replay;
+mod session;
 mod transports;
 mod work;
 
@@ -37,7 +40,7 @@ struct Arguments {
     /// What to measure; everything when left out.
     #[command(subcommand)]
     command: Option<Command>,
-    /// Seconds of messages for every row of the hop table.
+    /// Seconds of messages for every row of the hop table, and of every live session.
     #[arg(long, default_value_t = 10.0, global = true)]
     seconds: f64,
     /// Messages a second.
@@ -52,6 +55,8 @@ struct Arguments {
 enum Command {
     /// Publish to receive between two processes, beside bare iceoryx2, a Unix socket and ZeroMQ.
     Hop,
+    /// Live sessions of all stages: idle, saturated, with and without real-time scheduling.
+    Live,
     /// The stages' work alone: no transport, no other process.
     Work,
     /// A recording of a minute through `tendon run`, as fast as it goes.
@@ -72,6 +77,8 @@ struct Report {
     load_average: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     hop: Option<hop::HopReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    live: Option<Vec<live::Live>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     work: Option<Vec<work::Work>>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -109,9 +116,15 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let report = Report {
         cores,
         load_average,
-        work: is_chosen(|command| matches!(command, Command::Work)).then(work::measure).transpose()?,
+        work: is_chosen(|command| matches!(command, Command::Work))
+            .then(|| work::measure(cores))
+            .transpose()?,
         replay: is_chosen(|command| matches!(command, Command::Replay))
-            .then(replay::measure)
+            .then(|| replay::measure(cores))
+            .transpose()?
+            .flatten(),
+        live: is_chosen(|command| matches!(command, Command::Live))
+            .then(|| live::measure(arguments.seconds, cores))
             .transpose()?
             .flatten(),
         hop: is_chosen(|command| matches!(command, Command::Hop))

@@ -8,6 +8,7 @@ use anyhow::Context;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 use tendon_arm::{STEP_NS, SimulatedArm, Twist};
+use tendon_classifier::Classifier;
 use tendon_config::Config;
 use tendon_gesture::{Decider, Evidence, Gesture};
 use tendon_latency::LatencySummary;
@@ -15,10 +16,11 @@ use tendon_messages::Stage;
 use tendon_signal::SignalChain;
 use tendon_transport::now_ns;
 
+use crate::busy;
 use crate::emg::simulated;
 use crate::hop::histogram;
 
-/// Blocks of a minute at 200 Hz; other work is repeated as often.
+/// Blocks of a minute at 200 Hz; other work is repeated as often, inference a tenth of it.
 const REPETITIONS: usize = 12_000;
 
 /// How long a piece of a stage's work takes.
@@ -29,21 +31,33 @@ pub struct Work {
     task: &'static str,
     /// Where it depends on them.
     channels: Option<usize>,
+    /// Whether every core ran a busy loop beside.
+    saturated: bool,
     #[serde(flatten)]
     work: LatencySummary,
 }
 
 /// Measures and prints the work of every stage.
-pub fn measure() -> anyhow::Result<Vec<Work>> {
+pub fn measure(cores: usize) -> anyhow::Result<Vec<Work>> {
+    let mut rows = measure_beside("no load added", false)?;
+    let busy = busy::saturate(cores)?;
+    rows.extend(measure_beside("every core saturated", true)?);
+    drop(busy);
+    Ok(rows)
+}
+
+fn measure_beside(load: &str, saturated: bool) -> anyhow::Result<Vec<Work>> {
     let mut rows = vec![clock()];
     for channels in [4, 64] {
         rows.extend(signal(channels)?);
     }
+    rows.push(inference()?);
     rows.push(decision()?);
     rows.push(arm()?);
-    println!("\nWork alone");
+    rows.iter_mut().for_each(|row| row.saturated = saturated);
+    println!("\nWork alone, {load}");
     println!("  {:<12} {:<24} {:>8}  {}", "stage", "task", "channels", crate::COLUMNS);
-    for Work { stage, task, channels, work } in &rows {
+    for Work { stage, task, channels, work, .. } in &rows {
         let channels = channels.map(|channels| channels.to_string()).unwrap_or_default();
         println!("  {:<12} {task:<24} {channels:>8}  {}", stage.unwrap_or(""), crate::columns(work));
     }
@@ -66,14 +80,26 @@ impl Stopwatch {
     }
 
     fn work(self, stage: Stage, task: &'static str, channels: Option<usize>) -> Work {
-        Work { stage: Some(stage.name()), task, channels, work: LatencySummary::of(&self.0) }
+        Work {
+            stage: Some(stage.name()),
+            task,
+            channels,
+            saturated: false,
+            work: LatencySummary::of(&self.0),
+        }
     }
 }
 
 fn clock() -> Work {
     let mut stopwatch = Stopwatch::new();
     (0..REPETITIONS).for_each(|_| stopwatch.time(|| ()));
-    Work { stage: None, task: "reading the clock", channels: None, work: LatencySummary::of(&stopwatch.0) }
+    Work {
+        stage: None,
+        task: "reading the clock",
+        channels: None,
+        saturated: false,
+        work: LatencySummary::of(&stopwatch.0),
+    }
 }
 
 /// Simulates a minute of blocks and takes them through dsp.
@@ -111,6 +137,21 @@ fn signal(channels: usize) -> anyhow::Result<[Work; 3]> {
         process.work(Stage::Dsp, "process a block", channels),
         write_window.work(Stage::Dsp, "write a window", channels),
     ])
+}
+
+fn inference() -> anyhow::Result<Work> {
+    let config = Config::default();
+    let library = tendon_classifier::runtime_library(None)?;
+    let model = tendon_classifier::model_beside_program(config.default_model_file())?;
+    let mut classifier = Classifier::load(&library, &model)?;
+    let (mut emg, mut performance) = simulated(config.acquisition.channels)?;
+    let mut window = vec![0.0; config.window_length()];
+    let mut stopwatch = Stopwatch::new();
+    for _ in 0..REPETITIONS / 10 {
+        emg.fill_block(&mut performance, &mut window);
+        stopwatch.time(|| classifier.classify(black_box(&window)).copied())?;
+    }
+    Ok(stopwatch.work(Stage::Inference, "classify a window", Some(config.acquisition.channels)))
 }
 
 fn decision() -> anyhow::Result<Work> {

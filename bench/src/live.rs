@@ -1,0 +1,64 @@
+//! A live session of all stages: idle and with saturated cores, with real-time scheduling and without rights.
+
+use serde::Serialize;
+use tendon_latency::{LatencySummary, Report};
+
+use crate::{busy, session};
+
+/// A session in one condition.
+#[derive(Debug, Serialize)]
+pub struct Live {
+    saturated: bool,
+    /// Of dsp; the other stages have the same but for the priority.
+    scheduling: String,
+    cpu_percent: f64,
+    report: Report,
+}
+
+/// Runs four sessions of `seconds` each on the simulated DAQ; `None` where `tendon` has not been built.
+pub fn measure(seconds: f64, cores: usize) -> anyhow::Result<Option<Vec<Live>>> {
+    let Some(program) = session::program()? else { return Ok(None) };
+    let mut sessions = Vec::new();
+    println!("\nLive session, simulated DAQ, {seconds} s each");
+    for realtime in ["auto", "off"] {
+        for saturated in [false, true] {
+            let busy = if saturated { busy::saturate(cores)? } else { Vec::new() };
+            let duration = format!("{seconds}s");
+            let report = session::run(
+                &program,
+                &["--session", "bench-live", "--duration", &duration, "--realtime", realtime],
+            )?;
+            drop(busy);
+            let scheduling = report.scheduling.get("dsp").cloned().unwrap_or_default();
+            let cpu_percent = 100.0 * report.cpu_s.values().sum::<f64>() / report.duration_s;
+            let live = Live { saturated, scheduling, cpu_percent, report };
+            live.print();
+            sessions.push(live);
+        }
+    }
+    Ok(Some(sessions))
+}
+
+impl Live {
+    fn print(&self) {
+        let load = if self.saturated { "every core saturated" } else { "no load added" };
+        println!("  {load}, {}", self.scheduling);
+        println!("    {:<26}  {}", "", crate::COLUMNS);
+        let row =
+            |name: &str, latency: &LatencySummary| println!("    {name:<26}  {}", crate::columns(latency));
+        for hop in &self.report.hops {
+            row(&format!("{} to {}", hop.from, hop.to), &hop.transit);
+        }
+        row("newest sample to command", &self.report.newest_sample_to_command);
+        let window = &self.report.window_start_to_command;
+        let lost: u64 = self.report.messages.values().map(|topic| topic.lost + topic.stale).sum();
+        println!(
+            "    window start to command: mean {:.2} ms, sd {:.2}; {lost} messages lost or stale; processor {:.1} % of \
+             a core, memory {:.0} MB",
+            window.mean_ms,
+            window.sd_ms,
+            self.cpu_percent,
+            self.report.memory_mb.values().sum::<f64>()
+        );
+    }
+}
