@@ -51,9 +51,10 @@ impl Live {
         }
         row("newest sample to command", &self.report.newest_sample_to_command);
         let window = &self.report.window_start_to_command;
-        let lost: u64 = self.report.messages.values().map(|topic| topic.lost + topic.stale).sum();
+        let lost: u64 = self.report.messages.values().map(|topic| topic.lost + topic.stale).sum::<u64>()
+            + self.report.skipped_blocks;
         println!(
-            "    window start to command: mean {:.2} ms, sd {:.2}; {lost} messages lost or stale; processor {:.1} % of \
+            "    window start to command: mean {:.2} ms, sd {:.2}; {lost} messages lost, stale or skipped; processor {:.1} % of \
              a core, memory {:.0} MB",
             window.mean_ms,
             window.sd_ms,

@@ -525,6 +525,7 @@ impl Watch<'_> {
             newest_sample_to_command: LatencySummary::default(),
             window_start_to_command: WindowStartSummary::default(),
             messages: BTreeMap::new(),
+            skipped_blocks: 0,
             replaced_samples: 0,
             allocations: BTreeMap::new(),
             recognition: Recognition::default(),

@@ -37,6 +37,8 @@ pub struct Report {
     pub window_start_to_command: WindowStartSummary,
     /// Messages published and lost, by topic.
     pub messages: BTreeMap<String, MessageCounts>,
+    /// Blocks that the source left out because it could not keep up: they are on no topic.
+    pub skipped_blocks: u64,
     /// Samples that were NaN or infinite and replaced.
     pub replaced_samples: u64,
     /// Heap allocations of every stage since it was warm (those of ONNX Runtime itself not counted).
@@ -239,6 +241,7 @@ impl Report {
                 max_ms: milliseconds(histogram.max() as f64),
             },
             messages: messages.collect(),
+            skipped_blocks: measurements.counts(Stage::Acquisition).stale,
             replaced_samples: measurements.counts(Stage::Dsp).replaced_samples,
             allocations: Stage::ALL
                 .into_iter()
@@ -288,6 +291,9 @@ impl Report {
             write!(out, "  {topic} {} (lost {}, stale {})", counts.published, counts.lost, counts.stale)?;
         }
         writeln!(out)?;
+        if self.skipped_blocks > 0 {
+            writeln!(out, "source  could not keep up and left out {} blocks", self.skipped_blocks)?;
+        }
         if self.replaced_samples > 0 {
             writeln!(out, "samples  {} were NaN or infinite and were replaced", self.replaced_samples)?;
         }
@@ -351,6 +357,7 @@ mod tests {
             newest_sample_to_command: LatencySummary::default(),
             window_start_to_command: WindowStartSummary::default(),
             messages: BTreeMap::new(),
+            skipped_blocks: 0,
             replaced_samples: 0,
             allocations: BTreeMap::new(),
             recognition: Recognition::default(),
