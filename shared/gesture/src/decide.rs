@@ -227,7 +227,7 @@ fn direction(gesture: Gesture) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
+    use proptest::prelude::{any, prop, prop_assert, proptest};
 
     const INCREMENT_NS: u64 = 75_000_000;
 
