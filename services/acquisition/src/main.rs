@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! simulated DAQ ─┐
-//!                ├─▶ fill a block in shared memory ─▶ when it is due: publish
+//!                ├─▶ fill a block in shared memory ─▶ sleep until it is due ─▶ publish
 //! recording ─────┘
 //! ```
 //!
-//! Blocks carry the time they were *due*, not the time they were made: if this process is late, that shows in
-//! every latency. A block that is too late to act upon is left out, and counted, as an amplifier whose buffer
+//! Blocks carry the time they were *due*: if this process is late, that shows in every latency. They are
+//! filled beforehand, because an amplifier would not spend the processor's time on making its samples. A block that is too late to act upon is left out, and counted, as an amplifier whose buffer
 //! overflows would do.
 
 mod source;
@@ -18,9 +18,9 @@ use anyhow::Context;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use tendon_gesture::Gesture;
-use tendon_messages::{BLOCKS, BlockHeader, Measurement, Stage, Trace};
+use tendon_messages::{BLOCKS, BlockHeader, Measurement, Stage, Trace, Truth};
 use tendon_process::{Order, STALE_NS, StageProcess, Wake};
-use tendon_transport::{Delivery, Publisher, now_ns};
+use tendon_transport::{Delivery, Loan, Publisher, now_ns};
 
 use source::Source;
 
@@ -48,8 +48,13 @@ struct Acquisition {
     delivery: Delivery,
     jitter_ns: f64,
     jitter: Xoshiro256PlusPlus,
-    /// Where blocks go that nobody is to see.
-    discarded: Vec<f32>,
+}
+
+/// A block that waits until it is due.
+struct Prepared {
+    loan: Loan<BlockHeader, f32>,
+    truth: Truth,
+    non_finite_samples: u32,
 }
 
 impl Acquisition {
@@ -64,7 +69,6 @@ impl Acquisition {
             delivery: process.config.delivery(),
             jitter_ns: settings.simulate.jitter_ms * 1e6,
             jitter: Xoshiro256PlusPlus::seed_from_u64(settings.simulate.seed),
-            discarded: vec![0.0; process.config.block_length()],
         }
     }
 
@@ -75,21 +79,20 @@ impl Acquisition {
         let start_ns = now_ns();
         let mut block: u64 = 0;
         loop {
+            let Some(prepared) = self.prepare()? else {
+                self.finish(process)?;
+                break;
+            };
             // When the block's newest sample is there: computed from the start, so that no error adds up.
             let samples = (block + 1) * self.block_samples as u64;
             let due_ns = start_ns + (samples as f64 * 1e9 / self.sample_rate_hz) as u64;
             if !self.wait_until_due(process, due_ns)? {
                 break;
             }
-            let first_sample = block * self.block_samples as u64;
-            let went_on = match self.delivery {
-                Delivery::Live if now_ns().saturating_sub(due_ns) > STALE_NS => self.skip(process)?,
-                Delivery::Live => self.publish(process, first_sample, due_ns)?,
-                Delivery::Lossless => self.publish(process, first_sample, now_ns())?,
-            };
-            if !went_on {
-                self.finish(process)?;
-                break;
+            match self.publish(process, prepared, block * self.block_samples as u64, due_ns) {
+                // Being stopped while the next stage takes nothing more is no failure.
+                Err(_) if process.control.is_stopped() => break,
+                published => published?,
             }
             block += 1;
         }
@@ -126,52 +129,48 @@ impl Acquisition {
         }
     }
 
-    /// Publishes the next block; `false` at the end of the source.
+    /// The next block, filled in shared memory; `None` at the end of the source.
+    fn prepare(&mut self) -> anyhow::Result<Option<Prepared>> {
+        let mut loan = self.blocks.loan(self.channels * self.block_samples)?;
+        let truth = self.source.fill(loan.payload_mut()).context("the source failed")?;
+        let non_finite_samples = loan.payload_mut().iter().filter(|sample| !sample.is_finite()).count();
+        Ok(truth.map(|truth| Prepared { loan, truth, non_finite_samples: non_finite_samples as u32 }))
+    }
+
+    /// Publishes a block that was due at `due_ns`, unless it is too late to act upon.
     fn publish(
         &mut self,
         process: &mut StageProcess,
+        prepared: Prepared,
         first_sample: u64,
-        captured_ns: u64,
-    ) -> anyhow::Result<bool> {
-        let mut failure = None;
-        let published_ns = self.blocks.publish_if(self.discarded.len(), |payload| {
-            let truth = match self.source.fill(payload) {
-                Ok(truth) => truth?,
-                Err(error) => {
-                    failure = Some(error);
-                    return None;
-                }
-            };
-            Some(BlockHeader {
-                trace: Trace { captured_ns, ..Trace::default() },
-                first_sample,
-                sample_rate_hz: self.sample_rate_hz,
-                truth,
-                channels: self.channels as u32,
-                samples: self.block_samples as u32,
-                non_finite_samples: payload.iter().filter(|sample| !sample.is_finite()).count() as u32,
-            })
-        })?;
-        if let Some(error) = failure {
-            return Err(error).context("the source failed");
-        }
-        let Some(published_ns) = published_ns else {
-            return Ok(false);
+        due_ns: u64,
+    ) -> anyhow::Result<()> {
+        let now_ns = now_ns();
+        let captured_ns = match self.delivery {
+            Delivery::Live if now_ns.saturating_sub(due_ns) > STALE_NS => {
+                process.measurements.counts.stale += 1;
+                return Ok(());
+            }
+            Delivery::Live => due_ns,
+            Delivery::Lossless => now_ns,
         };
+        let header = BlockHeader {
+            trace: Trace { captured_ns, ..Trace::default() },
+            first_sample,
+            sample_rate_hz: self.sample_rate_hz,
+            truth: prepared.truth,
+            channels: self.channels as u32,
+            samples: self.block_samples as u32,
+            non_finite_samples: prepared.non_finite_samples,
+        };
+        let published_ns = self.blocks.send(prepared.loan, header)?;
         let late_ns = published_ns.saturating_sub(captured_ns);
         process.measurements.counts.published = self.blocks.published();
         process.measurements.record(Measurement {
             work_ns: late_ns,
             newest_sample_to_publish_ns: late_ns,
             ..Measurement::default()
-        })?;
-        Ok(true)
-    }
-
-    /// Lets a block go by that is too late to act upon; `false` at the end of the source.
-    fn skip(&mut self, process: &mut StageProcess) -> anyhow::Result<bool> {
-        process.measurements.counts.stale += 1;
-        Ok(self.source.fill(&mut self.discarded)?.is_some())
+        })
     }
 
     /// Says that the source has come to its end, and waits to be stopped: the memory that others still read

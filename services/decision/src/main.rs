@@ -9,14 +9,14 @@ use tendon_messages::{
     Activity, COMMANDS, CommandHeader, GripperCommand, Measurement, NO_GESTURE, PREDICTIONS,
     PredictionHeader, Stage, TWIST_LENGTH,
 };
-use tendon_process::StageProcess;
+use tendon_process::{Consumer, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber};
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Decision, |process| {
         let config = &process.config;
         let delivery = config.delivery();
-        let mut decision = Decision {
+        let decision = Decision {
             decider: Decider::new(&config.decision)?,
             commands: Publisher::open(
                 &process.session,
@@ -31,9 +31,7 @@ fn main() -> ExitCode {
         let predictions = Subscriber::open(&process.session, &PREDICTIONS, Some(Stage::Decision), delivery)?;
         process.connect(&predictions)?;
         process.ready(&format!("strategy {:?}", process.config.decision.strategy).to_lowercase())?;
-        Ok(move |process: &mut StageProcess| {
-            process.consume(predictions, move |process, prediction| decision.take(process, &prediction))
-        })
+        Ok(move |process: &mut StageProcess| process.consume(predictions, decision))
     })
 }
 
@@ -45,7 +43,7 @@ struct Decision {
     last_first_sample: Option<u64>,
 }
 
-impl Decision {
+impl Consumer<PredictionHeader, f32> for Decision {
     fn take(
         &mut self,
         process: &mut StageProcess,

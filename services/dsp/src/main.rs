@@ -6,7 +6,7 @@ use anyhow::ensure;
 use tendon_messages::{
     Activity, BLOCKS, BlockHeader, Measurement, Stage, Truth, WINDOWS, WindowContext, WindowHeader,
 };
-use tendon_process::StageProcess;
+use tendon_process::{Consumer, StageProcess};
 use tendon_signal::SignalChain;
 use tendon_transport::{Publisher, Received, Subscriber};
 
@@ -37,10 +37,7 @@ fn main() -> ExitCode {
             "windows of {} samples every {}",
             process.config.dsp.windows.window_samples, process.config.dsp.windows.increment_samples
         ))?;
-        Ok(move |process: &mut StageProcess| {
-            let mut dsp = dsp;
-            process.consume(blocks, move |process, block| dsp.take(process, &block))
-        })
+        Ok(move |process: &mut StageProcess| process.consume(blocks, dsp))
     })
 }
 
@@ -57,7 +54,7 @@ struct Dsp {
     calibrated: bool,
 }
 
-impl Dsp {
+impl Consumer<BlockHeader, f32> for Dsp {
     fn take(
         &mut self,
         process: &mut StageProcess,
@@ -101,7 +98,9 @@ impl Dsp {
         self.report_calibration();
         Ok(process.measure(&block.trace(), published_ns))
     }
+}
 
+impl Dsp {
     /// Publishes the window that ended with sample `end` of `block` (exclusive), unless it is too old.
     fn publish(
         &mut self,

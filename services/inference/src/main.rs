@@ -1,5 +1,13 @@
 //! The inference process: windows in, class probabilities out. The model itself is
 //! `tendon_classifier::Classifier`, which reads the window where it lies in shared memory.
+//!
+//! ```text
+//!   window ─▶ classify ─▶ prediction        ···        rehearse ─▶ window ─▶ classify ─▶ prediction
+//!   └───────────────────────── one increment, 75 ms ─────────────────┘
+//! ```
+//!
+//! In the 75 ms between two windows the processor forgets the model: its weights leave the caches, and the
+//! core goes to sleep. So just before a window is due the model runs on nothing (a *rehearsal*).
 
 use std::process::ExitCode;
 
@@ -7,11 +15,14 @@ use anyhow::{bail, ensure};
 use tendon_classifier::Classifier;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_messages::{Measurement, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
-use tendon_process::StageProcess;
-use tendon_transport::{Publisher, Received, Subscriber};
+use tendon_process::{Consumer, StageProcess};
+use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
 
 /// Windows classified before the session starts: the first runs allocate and fill caches.
 const WARM_UP_RUNS: usize = 20;
+/// How long before the next window's newest sample the rehearsal begins: a run on cold caches and one on warm
+/// ones fit, and the first may begin late because the core has to wake up.
+const REHEARSAL_LEAD_NS: u64 = 1_000_000;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Inference, |process| {
@@ -38,8 +49,11 @@ fn main() -> ExitCode {
             );
         }
         let silence = vec![0.0; config.window_length()];
+        let mut shortest_run_ns = u64::MAX;
         for _ in 0..WARM_UP_RUNS {
+            let start_ns = now_ns();
             classifier.classify(&silence)?;
+            shortest_run_ns = shortest_run_ns.min(now_ns() - start_ns);
         }
         let delivery = config.delivery();
         let predictions = Publisher::open(
@@ -50,21 +64,41 @@ fn main() -> ExitCode {
             process.control.stop_flag(),
         )?;
         let windows = Subscriber::open(&process.session, &WINDOWS, Some(Stage::Inference), delivery)?;
-        let mut inference = Inference { classifier, predictions };
+        let rehearsal = (delivery == Delivery::Live).then(|| {
+            let increment_samples = process.config.dsp.windows.increment_samples as f64;
+            Rehearsal {
+                silence,
+                increment_ns: (increment_samples * 1e9 / process.config.acquisition.sample_rate_hz) as u64,
+                next_window_ns: None,
+                shortest_run_ns,
+            }
+        });
+        let inference = Inference { classifier, predictions, rehearsal };
         process.connect(&windows)?;
         process.ready(&model.display().to_string())?;
-        Ok(move |process: &mut StageProcess| {
-            process.consume(windows, move |process, window| inference.take(process, &window))
-        })
+        Ok(move |process: &mut StageProcess| process.consume(windows, inference))
     })
 }
 
 struct Inference {
     classifier: Classifier,
     predictions: Publisher<PredictionHeader, f32>,
+    /// None in a lossless replay, where windows follow each other without a pause.
+    rehearsal: Option<Rehearsal>,
 }
 
-impl Inference {
+/// When and on what to rehearse.
+struct Rehearsal {
+    silence: Vec<f32>,
+    /// Time between two windows.
+    increment_ns: u64,
+    /// When the next window's newest sample is captured; `None` until a window has come.
+    next_window_ns: Option<u64>,
+    /// How long a run takes on warm caches.
+    shortest_run_ns: u64,
+}
+
+impl Consumer<WindowHeader, f32> for Inference {
     fn take(
         &mut self,
         process: &mut StageProcess,
@@ -83,6 +117,9 @@ impl Inference {
             process.measurements.counts.stale += 1;
             return Ok(process.measure(&trace, None));
         }
+        if let Some(rehearsal) = &mut self.rehearsal {
+            rehearsal.next_window_ns = Some(trace.captured_ns + rehearsal.increment_ns);
+        }
         let probabilities = self.classifier.classify(window.payload())?;
         let prediction = PredictionHeader { trace, context: header.context };
         let published_ns = self
@@ -90,5 +127,26 @@ impl Inference {
             .publish(prediction, Gesture::COUNT, |payload| payload.copy_from_slice(probabilities))?;
         process.measurements.counts.published = self.predictions.published();
         Ok(process.measure(&trace, Some(published_ns)))
+    }
+
+    fn rehearsal_ns(&self) -> Option<u64> {
+        self.rehearsal
+            .as_ref()?
+            .next_window_ns
+            .map(|next_window_ns| next_window_ns.saturating_sub(REHEARSAL_LEAD_NS))
+    }
+
+    /// Runs the model on silence as often as it fits before the next window, which must not wait.
+    fn rehearse(&mut self) -> anyhow::Result<()> {
+        let Some(rehearsal) = &mut self.rehearsal else { return Ok(()) };
+        let Some(next_window_ns) = rehearsal.next_window_ns.take() else { return Ok(()) };
+        let mut start_ns = now_ns();
+        while start_ns + rehearsal.shortest_run_ns < next_window_ns {
+            self.classifier.classify(&rehearsal.silence)?;
+            let end_ns = now_ns();
+            rehearsal.shortest_run_ns = rehearsal.shortest_run_ns.min(end_ns - start_ns);
+            start_ns = end_ns;
+        }
+        Ok(())
     }
 }

@@ -56,6 +56,31 @@ pub struct Ready {
     pub detail: String,
 }
 
+/// A stage's own work: what it does with each message of its one input.
+pub trait Consumer<H: Traced, E: Element> {
+    /// Does the stage's work on one message, and says what it measured.
+    ///
+    /// # Errors
+    ///
+    /// What ends the session: a message that cannot be one of this session, or a transport that is broken.
+    fn take(&mut self, process: &mut StageProcess, message: &Received<H, E>) -> anyhow::Result<Measurement>;
+
+    /// When the consumer wants [`Consumer::rehearse`] to be called, CLOCK_MONOTONIC ns, if no message comes
+    /// first.
+    fn rehearsal_ns(&self) -> Option<u64> {
+        None
+    }
+
+    /// Work without a message, so that the next message finds the processor's caches warm.
+    ///
+    /// # Errors
+    ///
+    /// As [`Consumer::take`].
+    fn rehearse(&mut self) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
 /// A process that takes part in a session as a stage.
 #[derive(Debug)]
 pub struct StageProcess {
@@ -101,31 +126,39 @@ impl StageProcess {
         let line = serde_json::to_string(&ready).context("cannot say ready")?;
         writeln!(std::io::stdout(), "{line}").context("cannot say ready on standard output")
     }
-    /// Takes every message of `input` as it comes, until the process is to stop. `take` does the stage's work
-    /// and says what it measured.
+
+    /// Hands every message of `input` to `consumer` as it comes, until the process is to stop.
     ///
     /// # Errors
     ///
-    /// The first error of `take`, or of the transport.
+    /// The first error of the consumer, or of the transport.
     pub fn consume<H: Traced, E: Element>(
         &mut self,
         mut input: Subscriber<H, E>,
-        mut take: impl FnMut(&mut StageProcess, Received<H, E>) -> anyhow::Result<Measurement>,
+        mut consumer: impl Consumer<H, E>,
     ) -> anyhow::Result<()> {
         loop {
-            match self.control.wait(Some(input.as_fd()), self.measurements.deadline_ns())? {
+            let rehearsal_ns = consumer.rehearsal_ns();
+            let deadlines_ns = [rehearsal_ns, self.measurements.deadline_ns()];
+            match self.control.wait(Some(input.as_fd()), deadlines_ns.into_iter().flatten().min())? {
                 Wake::Stop => break,
                 Wake::Order(_) => {}
-                Wake::Deadline => self.measurements.publish_if_due()?,
+                Wake::Deadline => {
+                    if rehearsal_ns.is_some_and(|rehearsal_ns| now_ns() >= rehearsal_ns) {
+                        consumer.rehearse()?;
+                    }
+                    self.measurements.publish_if_due()?;
+                }
                 Wake::Message => {
                     input.acknowledge_wakes()?;
                     while !self.control.is_stopped() {
                         let Some(message) = input.receive()? else { break };
-                        let measurement = match take(self, message) {
+                        let measurement = match consumer.take(self, &message) {
                             // Being stopped while the next stage takes nothing more is no failure.
                             Err(_) if self.control.is_stopped() => break,
                             measurement => measurement?,
                         };
+                        drop(message);
                         self.measurements.counts.received = input.received();
                         self.measurements.counts.lost = input.lost();
                         self.measurements.record(measurement)?;

@@ -19,7 +19,7 @@ mod session;
 mod subscriber;
 
 pub use clock::now_ns;
-pub use publisher::{Element, PublishError, Publisher};
+pub use publisher::{Element, Loan, PublishError, Publisher};
 pub use session::{
     Delivery, InvalidSessionName, Leftovers, Session, SessionError, SessionLock, SessionLockError,
     SessionName, required_bytes, shared_memory_directory,

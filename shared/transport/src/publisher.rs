@@ -8,6 +8,7 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as Port;
 use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::{BackpressureStrategy, ZeroCopySend, ipc};
+use iceoryx2::sample_mut::SampleMut;
 use tendon_messages::{Measurement, Stage, Topic, Traced};
 
 use crate::clock::now_ns;
@@ -53,6 +54,19 @@ pub enum PublishError {
         /// iceoryx2's own word.
         reason: String,
     },
+}
+
+/// A message in shared memory that is not sent yet.
+#[derive(Debug)]
+pub struct Loan<H: Traced, E: Element> {
+    message: SampleMut<ipc::Service, [E], H>,
+}
+
+impl<H: Traced, E: Element> Loan<H, E> {
+    /// The payload, to be written as a whole: it is zero or from an earlier message.
+    pub fn payload_mut(&mut self) -> &mut [E] {
+        self.message.payload_mut()
+    }
 }
 
 /// The sending end of a topic. Not `Sync`: one thread publishes.
@@ -131,24 +145,18 @@ impl<H: Traced, E: Element> Publisher<H, E> {
         length: usize,
         fill: impl FnOnce(&mut [E]),
     ) -> Result<u64, PublishError> {
-        let published = self.publish_if(length, |payload| {
-            fill(payload);
-            Some(header)
-        })?;
-        Ok(published.expect("the closure above always gives a header, so the message is always sent"))
+        let mut loan = self.loan(length)?;
+        fill(loan.payload_mut());
+        self.send(loan, header)
     }
 
-    /// As [`Publisher::publish`], for a message whose header is known only once it is filled, or that may
-    /// turn out not to be due: nothing is sent, and `None` returned, when `fill` gives `None`.
+    /// A message of `length` elements in shared memory, to be filled there and handed to
+    /// [`Publisher::send`] when it is due, or dropped. There can be one at a time.
     ///
     /// # Errors
     ///
-    /// [`PublishError`]; the message is then not sent and uses up no sequence number.
-    pub fn publish_if(
-        &mut self,
-        length: usize,
-        fill: impl FnOnce(&mut [E]) -> Option<H>,
-    ) -> Result<Option<u64>, PublishError> {
+    /// [`PublishError`] when it is too long, or the one before was neither sent nor dropped.
+    pub fn loan(&mut self, length: usize) -> Result<Loan<H, E>, PublishError> {
         if length > self.maximum_length {
             return Err(PublishError::TooLong { topic: self.topic, length, maximum: self.maximum_length });
         }
@@ -156,10 +164,16 @@ impl<H: Traced, E: Element> Publisher<H, E> {
         // SAFETY: the memory of a loan is a shared mapping that the kernel zeroed when it was created and
         // that only messages of this port have been written to since, so it is initialised; and every bit
         // pattern is a valid `E` by the contract of `Element`.
-        let mut message = unsafe { loan.assume_init() };
-        let Some(mut header) = fill(message.payload_mut()) else {
-            return Ok(None);
-        };
+        Ok(Loan { message: unsafe { loan.assume_init() } })
+    }
+
+    /// Stamps `loan`, sends it and wakes the subscribers. Returns when it was published, CLOCK_MONOTONIC ns.
+    ///
+    /// # Errors
+    ///
+    /// [`PublishError`]; the message is then not sent and uses up no sequence number.
+    pub fn send(&mut self, loan: Loan<H, E>, mut header: H) -> Result<u64, PublishError> {
+        let mut message = loan.message;
         header.trace_mut().sequence = self.next_sequence;
         let published_ns = now_ns();
         if let Some(stage) = self.stage {
@@ -174,7 +188,7 @@ impl<H: Traced, E: Element> Publisher<H, E> {
         }
         self.next_sequence += 1;
         self.notifier.notify().map_err(|error| self.transport_error(&error))?;
-        Ok(Some(published_ns))
+        Ok(published_ns)
     }
 
     /// Messages published so far.
