@@ -7,7 +7,8 @@
 //! ```
 //!
 //! In the 75 ms between two windows the processor forgets the model: its weights leave the caches, and the
-//! core goes to sleep. So just before a window is due the model runs on nothing (a *rehearsal*).
+//! core goes to sleep. So just before a window is due the model runs on nothing (a *rehearsal*). Only under
+//! SCHED_FIFO: under a fair policy that time would be held against the process when the window comes.
 
 use std::process::ExitCode;
 
@@ -15,14 +16,14 @@ use anyhow::{bail, ensure};
 use tendon_classifier::Classifier;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_messages::{Measurement, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
-use tendon_process::{Consumer, StageProcess};
-use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
+use tendon_process::{Consumer, Policy, StageProcess};
+use tendon_transport::{Publisher, Received, Subscriber, now_ns};
 
 /// Windows classified before the session starts: the first runs allocate and fill caches.
 const WARM_UP_RUNS: usize = 20;
 /// How long before the next window's newest sample the rehearsal begins: a run on cold caches and one on warm
 /// ones fit, and the first may begin late because the core has to wake up.
-const REHEARSAL_LEAD_NS: u64 = 1_000_000;
+const REHEARSAL_LEAD_NS: u64 = 900_000;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Inference, |process| {
@@ -64,7 +65,7 @@ fn main() -> ExitCode {
             process.control.stop_flag(),
         )?;
         let windows = Subscriber::open(&process.session, &WINDOWS, Some(Stage::Inference), delivery)?;
-        let rehearsal = (delivery == Delivery::Live).then(|| {
+        let rehearsal = matches!(process.scheduling.policy, Policy::Fifo(_)).then(|| {
             let increment_samples = process.config.dsp.windows.increment_samples as f64;
             Rehearsal {
                 silence,
@@ -83,7 +84,7 @@ fn main() -> ExitCode {
 struct Inference {
     classifier: Classifier,
     predictions: Publisher<PredictionHeader, f32>,
-    /// None in a lossless replay, where windows follow each other without a pause.
+    /// Only under SCHED_FIFO.
     rehearsal: Option<Rehearsal>,
 }
 

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! command ─▶ fresh? ─▶ target twist ─┐
-//!                                    ├─▶ 250 Hz: ramp, limits, joints ─▶ state
-//! 150 ms of silence ─▶ target zero ──┘   50 Hz while still
+//!                                    ├─▶ ramp, limits, joints ─▶ state
+//! 150 ms of silence ─▶ target zero ──┘   in steps of 4 ms        100 Hz, 50 Hz while still
 //! ```
 //!
 //! Live, the arm's time is the clock. In a lossless replay it is the time of the samples, so that the arm
@@ -15,7 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Context;
-use tendon_arm::{GripperCommand as ArmGripper, STEP_NS, SimulatedArm, Twist};
+use tendon_arm::{GripperCommand as ArmGripper, SimulatedArm, Twist};
 use tendon_config::Backend;
 use tendon_messages::{
     COMMANDS, CommandHeader, GripperCommand, STATE_LENGTH, STATES, Stage, StateHeader, TWIST_LENGTH, Trace,
@@ -23,6 +23,9 @@ use tendon_messages::{
 use tendon_process::{StageProcess, Wake};
 use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
 
+/// Time between two states in motion, ns: the rate of the vendor's real-time report, 100 Hz. The steps since the
+/// last one are made up for, so the motion is the same at any rate.
+const MOVING_PERIOD_NS: u64 = 10_000_000;
 /// Time between two states while nothing moves, ns. A command ends it.
 const STILL_PERIOD_NS: u64 = 20_000_000;
 
@@ -89,14 +92,14 @@ impl Robot {
                         process.measurements.counts.lost = commands.lost();
                     }
                     // A command may have set the still arm in motion.
-                    tick_ns = tick_ns.min(now_ns() + STEP_NS);
+                    tick_ns = tick_ns.min(now_ns() + MOVING_PERIOD_NS);
                 }
                 Wake::Deadline if self.delivery == Delivery::Live => {
                     let now_ns = now_ns();
                     self.arm.tick(now_ns);
                     self.publish_state(process)?;
                     process.measurements.publish_if_due()?;
-                    let period_ns = if self.arm.is_still() { STILL_PERIOD_NS } else { STEP_NS };
+                    let period_ns = if self.arm.is_still() { STILL_PERIOD_NS } else { MOVING_PERIOD_NS };
                     // After a stall the ticks that were missed are not made up for.
                     tick_ns = (tick_ns + period_ns).max(now_ns);
                 }

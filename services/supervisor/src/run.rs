@@ -479,6 +479,8 @@ impl Watch<'_> {
             memory_mb.insert("supervisor".to_owned(), megabytes);
         }
         let observer = &mut self.observer;
+        observer.gather()?;
+        observer.gathered.ending();
         let killed = self.children.stop(&self.events, || observer.gather())?;
         self.observer.gather()?;
         if !killed.is_empty() {

@@ -87,11 +87,14 @@ struct StageMeasurements {
     newest: MeasurementHeader,
     /// Allocations of the process when it was warm; `None` before.
     allocations_when_warm: Option<u64>,
+    /// Allocations of the process since, as long as the session ran.
+    allocations: u64,
 }
 
 /// What all stages of a session measured.
 #[derive(Clone, Debug)]
 pub struct SessionMeasurements {
+    is_ending: bool,
     stages: [StageMeasurements; STAGE_COUNT],
     /// Capture of the newest sample to the command's publication.
     pub newest_sample_to_command: Histogram<u64>,
@@ -115,8 +118,10 @@ impl Default for SessionMeasurements {
             before_restart: Counts::default(),
             newest: MeasurementHeader::default(),
             allocations_when_warm: None,
+            allocations: 0,
         };
         SessionMeasurements {
+            is_ending: false,
             stages: std::array::from_fn(|_| stage()),
             newest_sample_to_command: new_histogram(),
             window_start_to_command: Summary::new(),
@@ -141,6 +146,9 @@ impl SessionMeasurements {
         let has_received = header.received >= WARM_UP_MESSAGES || stage.upstream().is_none();
         if kept.allocations_when_warm.is_none() && has_received && header.published >= WARM_UP_MESSAGES {
             kept.allocations_when_warm = Some(header.allocations);
+        }
+        if let (Some(when_warm), false) = (kept.allocations_when_warm, self.is_ending) {
+            kept.allocations = header.allocations - when_warm;
         }
         for measurement in batch {
             if stage.upstream().is_some() {
@@ -174,10 +182,14 @@ impl SessionMeasurements {
         &self.stages[stage.index()].work
     }
 
-    /// Heap allocations of a stage's process since it was warm.
+    /// From now on stages are being stopped: those that lose a neighbour may allocate.
+    pub fn ending(&mut self) {
+        self.is_ending = true;
+    }
+
+    /// Heap allocations of a stage's process from when it was warm until [`SessionMeasurements::ending`].
     pub fn allocations(&self, stage: Stage) -> u64 {
-        let kept = &self.stages[stage.index()];
-        kept.allocations_when_warm.map_or(0, |when_warm| kept.newest.allocations - when_warm)
+        self.stages[stage.index()].allocations
     }
 
     /// How long messages flowed, from the source's first to the robot's newest.

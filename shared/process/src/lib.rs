@@ -94,7 +94,8 @@ pub struct StageProcess {
     pub control: Control,
     /// What is measured.
     pub measurements: Measurements,
-    scheduling: Scheduling,
+    /// What the kernel granted.
+    pub scheduling: Scheduling,
 }
 
 impl StageProcess {

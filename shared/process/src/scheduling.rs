@@ -22,6 +22,10 @@ use tendon_messages::Stage;
 
 /// Slice asked of EEVDF, in ns: the shortest it grants (`sched_setattr(2)` clamps to 0.1 ms).
 const SHORT_SLICE_NS: u64 = 100_000;
+/// Inference's slice: about a run of the model, which would otherwise lose the core in its midst at the
+/// next tick, for 4 ms; and shorter than the default slice (1.4 ms on two cores, more on more), so that it is
+/// still let in early. (Measured with both cores saturated: p99 of its work 4.7 ms with 0.1 ms, 0.63 with 0.5.)
+const INFERENCE_SLICE_NS: u64 = 500_000;
 /// SCHED_FIFO priority of the first stage; each later one is one higher, so that a message overtakes those
 /// behind it. Middling: above ordinary threads, below what a real-time kernel runs its interrupts at (50).
 const FIRST_STAGE_PRIORITY: u32 = 40;
@@ -128,8 +132,9 @@ pub fn schedule(settings: &SchedulingSettings, stage: Stage) -> Result<Schedulin
         }
     }
     if policy == Policy::Default {
-        match set_attributes(&Attributes::short_slice()) {
-            Ok(()) => policy = Policy::ShortSlice(SHORT_SLICE_NS),
+        let slice_ns = if stage == Stage::Inference { INFERENCE_SLICE_NS } else { SHORT_SLICE_NS };
+        match set_attributes(&Attributes::short_slice(slice_ns)) {
+            Ok(()) => policy = Policy::ShortSlice(slice_ns),
             Err(reason) => shortfall.push(format!("a short slice was refused ({reason})")),
         }
     }
@@ -168,8 +173,8 @@ impl Attributes {
         Attributes { priority, ..Attributes::of_policy(libc::SCHED_FIFO) }
     }
 
-    fn short_slice() -> Attributes {
-        Attributes { runtime_ns: SHORT_SLICE_NS, ..Attributes::of_policy(libc::SCHED_OTHER) }
+    fn short_slice(slice_ns: u64) -> Attributes {
+        Attributes { runtime_ns: slice_ns, ..Attributes::of_policy(libc::SCHED_OTHER) }
     }
 
     fn of_policy(policy: libc::c_int) -> Attributes {
