@@ -1,14 +1,24 @@
 //! Recordings replayed: everything comes through, and the same every time.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
+use std::collections::HashMap;
 use std::path::Path;
 
+use tendon_classifier::{Classifier, runtime_library};
+use tendon_config::{Config, Pace, Source};
+use tendon_gesture::Gesture;
 use tendon_latency::Report;
+use tendon_messages::{PREDICTIONS, WINDOWS};
+use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
+use tendon_signal::SignalChain;
 use tendon_system_tests::recordings::{MOVEMENT, REST, Stretch, real_three_dc, write_table, write_three_dc};
-use tendon_system_tests::{TendonBuilder, unique_session};
+use tendon_system_tests::{
+    StageAlone, TendonBuilder, assert_nothing_left, model, repository, unique_session, wait_until,
+};
+use tendon_transport::{Delivery, Leftovers, Session, SessionLock, Subscriber};
 
 /// Windows that `samples` samples give at the default settings: 600 long, one every 150.
-fn windows(samples: u64) -> u64 {
+fn windows_of(samples: u64) -> u64 {
     (samples - 600) / 150 + 1
 }
 
@@ -41,7 +51,7 @@ fn at_full_speed_every_block_and_window_of_a_table_comes_through() {
     // 4.5 s, and 7 samples that fill no block.
     write_table(&path, &[Stretch { samples: 9007, amplitudes: REST }]);
     let report = replay_at_full_speed(&path, &CSV);
-    assert_complete(&report, 900, windows(9000));
+    assert_complete(&report, 900, windows_of(9000));
     assert!(report.replay_x_real_time.unwrap() > 0.0);
 }
 
@@ -53,7 +63,7 @@ fn at_full_speed_two_replays_of_a_recording_with_cues_are_the_same() {
     let channels = ["--set", "acquisition.replay.channels=[0,1,2,3]"];
     let [first, second] = [(); 2].map(|()| replay_at_full_speed(&path, &channels));
     // 12 s at 1000 Hz, resampled to 2000 Hz.
-    assert_complete(&first, 2400, windows(24_000));
+    assert_complete(&first, 2400, windows_of(24_000));
     assert_eq!(first.messages, second.messages);
     assert_eq!(first.recognition, second.recognition);
     assert_eq!(first.final_position_mm, second.final_position_mm);
@@ -71,7 +81,7 @@ fn a_real_recording_comes_through_whole_and_the_same_every_time() {
     let blocks = first.messages["blocks"].published;
     // 55 s of samples, as the data set's description says.
     assert!((10_500..=11_500).contains(&blocks), "{first:#?}");
-    assert_complete(&first, blocks, windows(10 * blocks));
+    assert_complete(&first, blocks, windows_of(10 * blocks));
     assert!(first.recognition.windows > 0, "{first:#?}");
     assert_eq!(first.recognition, second.recognition);
     assert_eq!(first.final_position_mm, second.final_position_mm);
@@ -94,4 +104,95 @@ fn at_its_true_pace_a_recording_ends_by_itself() {
     assert!(blocks.published > 200 && blocks.published <= 400, "{report:#?}");
     assert_eq!(blocks.lost, 0, "{report:#?}");
     assert_eq!(report.hops[0].transit.count, blocks.published, "{report:#?}");
+}
+
+/// What the libraries make of a recording without any process: every window and its probabilities, by the
+/// window's first sample.
+fn offline(path: &Path) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
+    let config = Config::default();
+    let recording = RecordingSettings {
+        channels: (0..4).map(Channel::Index).collect(),
+        sample_rate_hz: None,
+        repetition: None,
+    };
+    let mut stream = ReplayStream::open(path, &recording, 2000.0, config.acquisition.block_samples).unwrap();
+    let mut chain = SignalChain::new(&config.dsp, 4, 2000.0).unwrap();
+    let fetched = repository().join(".cache/onnxruntime/libonnxruntime.so");
+    let library =
+        if std::env::var_os("ORT_DYLIB_PATH").is_some() { runtime_library(None).unwrap() } else { fetched };
+    let mut classifier = Classifier::load(&library, &model("cnn-five-gesture")).unwrap();
+    let mut block = vec![0.0; config.block_length()];
+    let mut window = vec![0.0; config.window_length()];
+    let mut windows = HashMap::new();
+    while stream.next_block(&mut block).unwrap().is_some() {
+        let mut from = 0;
+        while from < config.acquisition.block_samples {
+            let push = chain.push(&block, from);
+            from += push.consumed;
+            if let Some(complete) = push.window {
+                chain.write_window(&mut window);
+                let probabilities = *classifier.classify(&window).unwrap();
+                windows.insert(complete.first_sample, (window.clone(), probabilities));
+            }
+        }
+    }
+    windows
+}
+
+#[test]
+fn windows_and_predictions_of_the_processes_are_bit_for_bit_those_of_the_offline_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("EMG");
+    write_three_dc(&recording);
+    let offline = offline(&recording);
+    let name = unique_session();
+    let mut config = Config { session: name.clone(), ..Config::default() };
+    config.acquisition.source = Source::Replay;
+    config.acquisition.replay.path = Some(recording);
+    config.acquisition.replay.channels = Some((0..4).map(Channel::Index).collect());
+    // Nothing is lost, on a slow machine neither.
+    config.acquisition.replay.pace = Pace::Full;
+    config.inference.model = Some(model("cnn-five-gesture"));
+    let path = folder.path().join("tendon.toml");
+    std::fs::write(&path, config.to_toml()).unwrap();
+
+    let lock = SessionLock::take(&name).unwrap();
+    let mut stages =
+        ["acquisition", "dsp", "inference", "decision", "robot"].map(|stage| StageAlone::start(stage, &path));
+    let session = Session::join(&name, "test").unwrap();
+    let mut windows = Subscriber::open(&session, &WINDOWS, None, Delivery::Lossless).unwrap();
+    let mut predictions = Subscriber::open(&session, &PREDICTIONS, None, Delivery::Lossless).unwrap();
+    assert!(windows.connect().unwrap() && predictions.connect().unwrap());
+    stages[0].order("start");
+
+    let bits = |values: &[f32]| values.iter().map(|value| value.to_bits()).collect::<Vec<u32>>();
+    // 12 s at 1000 Hz, resampled to 2000 Hz.
+    let expected = windows_of(24_000);
+    assert_eq!(offline.len() as u64, expected);
+    let (mut windows_compared, mut predictions_compared) = (0, 0);
+    wait_until("all windows and predictions", || {
+        while let Some(message) = windows.receive().unwrap() {
+            let first_sample = message.header().context.first_sample;
+            assert!(bits(message.payload()) == bits(&offline[&first_sample].0), "window at {first_sample}");
+            windows_compared += 1;
+        }
+        while let Some(message) = predictions.receive().unwrap() {
+            let first_sample = message.header().context.first_sample;
+            assert_eq!(
+                bits(message.payload()),
+                bits(&offline[&first_sample].1),
+                "prediction at {first_sample}"
+            );
+            predictions_compared += 1;
+        }
+        (windows_compared.min(predictions_compared) == expected).then_some(())
+    });
+
+    drop((windows, predictions, session));
+    for stage in stages {
+        let (exit_code, errors) = stage.stop();
+        assert_eq!(exit_code, Some(0), "{errors}");
+    }
+    Leftovers::remove(&lock, &name);
+    assert_nothing_left(&name);
 }

@@ -5,7 +5,7 @@
 
 DIR is what `tendon dataset build` wrote: windows that went through the same filters, onset detection and
 windowing as the live pipeline (windows.npy [n, channels, samples] float32, labels.npy, people.npy,
-manifest.json). The people named by --test-people are never seen in training; of the other windows, 20 % of
+manifest.json). A model of envelopes (`--input envelope` there) can be evaluated, but not run live. The people named by --test-people are never seen in training; of the other windows, 20 % of
 each class are kept for validation and the epoch with the best validation accuracy is the one exported.
 
 Beside OUT this writes OUT with the ending .md, the model card, and prints the same numbers.
@@ -31,6 +31,8 @@ LEARNING_RATE = 1e-3
 WEIGHT_DECAY = 1e-4
 VALIDATION_SHARE = 0.2
 PARITY_TOLERANCE = 1e-4
+# What the paper's recordings were filtered with: for a data set of recordings that were filtered before.
+PAPER_FILTER = {"notch_hz": 50.0, "notch_quality": 30.0, "band_pass_hz": [5.0, 500.0], "band_pass_order": 6}
 # Test accuracy in the paper, by number of classes.
 PAPER_ACCURACY = {6: 0.8646, 5: 0.9055}
 
@@ -291,6 +293,7 @@ def main() -> None:
     names = CLASSES[arguments.classes]
 
     made_with = json.loads((arguments.dataset / "manifest.json").read_text())["settings"]
+    made_with["filter"] = made_with["filter"] or PAPER_FILTER
     windows = np.load(arguments.dataset / "windows.npy", mmap_mode="r")
     people = np.load(arguments.dataset / "people.npy")
     # A label is the gesture's number; a class is its place in `names`, or negative where it is left out.
@@ -316,6 +319,7 @@ def main() -> None:
         "channels of the armband": " ".join(map(str, made_with["channels"])),
         "window, increment": f"{windows.shape[2]}, {made_with['windows']['increment_samples']} samples",
         "filter": f"`{json.dumps(made_with['filter'])}`",
+        "input": made_with["input"],
         "optimiser": f"Adam {LEARNING_RATE}, weight decay {WEIGHT_DECAY}, batch {BATCH}, cross-entropy, bfloat16 autocast",
         "epochs": f"{arguments.epochs}, best {best_epoch}",
         "seed": arguments.seed,
@@ -327,6 +331,7 @@ def main() -> None:
         "tendon.sample_rate_hz": f"{made_with['sample_rate_hz']:g}",
         "tendon.window_samples": str(windows.shape[2]),
         "tendon.filter": json.dumps(made_with["filter"], separators=(",", ":")),
+        "tendon.input": made_with["input"],
         "tendon.classes": ",".join(names),
         "tendon.input_unit": "adc_counts",
         "tendon.normalisation": "z-score, inside the graph",

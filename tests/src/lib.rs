@@ -15,7 +15,7 @@
 
 pub mod recordings;
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -321,6 +321,12 @@ impl StageAlone {
         output.read_line(&mut ready).unwrap();
         assert!(ready.contains("\"stage\""), "{name} is not ready: {}", errors.so_far());
         StageAlone { process, errors, _output: output }
+    }
+
+    /// Writes a line to its standard input, as the supervisor does.
+    pub fn order(&mut self, line: &str) {
+        let input = self.process.stdin.as_mut().expect("standard input is closed by `stop` only");
+        writeln!(input, "{line}").unwrap();
     }
 
     /// Closes its standard input, which tells it to stop, and waits for its end; gives its exit code and

@@ -17,13 +17,14 @@ use tendon_classifier::Classifier;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_messages::{Measurement, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
 use tendon_process::{Consumer, Policy, StageProcess};
+use tendon_signal::WindowInput;
 use tendon_transport::{Publisher, Received, Subscriber, now_ns};
 
 /// Windows classified before the session starts: the first runs allocate and fill caches.
 const WARM_UP_RUNS: usize = 20;
 /// How long before the next window's newest sample the rehearsal begins: a run on cold caches and one on warm
 /// ones fit, and the first may begin late because the core has to wake up.
-const REHEARSAL_LEAD_NS: u64 = 900_000;
+const REHEARSAL_LEAD_NS: u64 = 850_000;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Inference, |process| {
@@ -39,6 +40,7 @@ fn main() -> ExitCode {
             config.acquisition.sample_rate_hz,
             config.dsp.windows.window_samples,
             &config.dsp.filter,
+            WindowInput::Raw,
             config.decision.strategy == Strategy::Direct,
         );
         if !mismatches.is_empty() {

@@ -11,6 +11,7 @@
 mod children;
 mod dataset;
 mod doctor;
+mod evaluate;
 mod latency;
 mod profile;
 mod resources;
@@ -44,6 +45,8 @@ enum Command {
     /// Data sets to train models on.
     #[command(subcommand)]
     Dataset(dataset::Command),
+    /// Score a model on a data set: accuracy, per-class scores, confusion matrix, figures.
+    Evaluate(evaluate::Options),
 }
 
 /// An error with the exit code it leads to: 2 for bad input, 1 for what broke off later.
@@ -70,6 +73,7 @@ fn main() -> ExitCode {
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),
+        Command::Evaluate(options) => evaluate::evaluate(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

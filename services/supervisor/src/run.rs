@@ -15,7 +15,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::{Gesture, Strategy};
-use tendon_latency::{LatencySummary, Recognition, Report, SessionMeasurements, WindowStartSummary};
+use tendon_latency::{Report, SessionMeasurements};
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, Measurement, MeasurementHeader, PREDICTIONS, STATE_LENGTH, STATES, Stage,
     StateHeader, TWIST_LENGTH, WINDOWS,
@@ -32,7 +32,9 @@ use crate::resources;
 use crate::screen::{KEYS, Keyboard, Screen, live_line};
 
 /// Time between two looks at what the stages say. Their messages do not wait for it.
-const TICK: Duration = Duration::from_millis(50);
+const TICK: Duration = Duration::from_millis(100);
+/// The same in a lossless replay, which says much more in that time.
+const LOSSLESS_TICK: Duration = Duration::from_millis(50);
 /// How long the stages may take to become ready.
 const READY_TIMEOUT: Duration = Duration::from_secs(60);
 /// After this long without being ready, the user is told what is waited for.
@@ -425,8 +427,13 @@ impl Watch<'_> {
     /// Watches until the time is over, the recording is, somebody says stop, or a stage ends.
     fn until_the_end(&mut self, duration: Option<Duration>) -> Result<(), Failure> {
         let begun = Instant::now();
+        let tick = match self.config.delivery() {
+            Delivery::Live => TICK,
+            Delivery::Lossless => LOSSLESS_TICK,
+        };
         loop {
-            match self.events.recv_timeout(TICK) {
+            let left = duration.map_or(tick, |duration| duration.saturating_sub(begun.elapsed()));
+            match self.events.recv_timeout(tick.min(left)) {
                 Ok(Event::Stop) => return Ok(()),
                 Ok(Event::Gesture(gesture)) => {
                     self.children.order(Stage::Acquisition, Order::Gesture(gesture));
@@ -522,21 +529,11 @@ impl Watch<'_> {
                 Strategy::Direct => "direct".to_owned(),
             },
             scheduling: started.ready.iter().map(scheduling).collect(),
-            hops: Vec::new(),
-            work: Vec::new(),
-            newest_sample_to_command: LatencySummary::default(),
-            window_start_to_command: WindowStartSummary::default(),
-            messages: BTreeMap::new(),
-            skipped_blocks: 0,
-            replaced_samples: 0,
-            allocations: BTreeMap::new(),
-            recognition: Recognition::default(),
             replay_x_real_time,
-            restarts: 0,
             cpu_s,
             memory_mb,
             final_position_mm: [x, y, z],
+            ..Report::of(gathered)
         }
-        .measured(gathered)
     }
 }

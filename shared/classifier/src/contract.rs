@@ -3,7 +3,7 @@
 use std::fmt;
 
 use tendon_gesture::Gesture;
-use tendon_signal::FilterSettings;
+use tendon_signal::{FilterSettings, WindowInput};
 
 /// Version of the metadata's layout that this program reads.
 const CONTRACT_VERSION: &str = "1";
@@ -19,8 +19,12 @@ pub struct Contract {
     pub window_samples: usize,
     /// Filter before the window.
     pub filter: FilterSettings,
+    /// What the window holds; without a word on it, the filtered signal.
+    pub input: WindowInput,
     /// Classes in the order of the outputs.
     pub classes: Vec<Gesture>,
+    /// Data, people and recipe, in words, if the model says so.
+    pub provenance: Option<String>,
 }
 
 /// Something in which a model and a session differ.
@@ -74,11 +78,17 @@ impl Contract {
                 .ok_or_else(|| wrong("tendon.sample_rate_hz", &rate))?,
             window_samples: count("tendon.window_samples")?,
             filter: serde_json::from_str(&filter).map_err(|_| wrong("tendon.filter", &filter))?,
+            input: match lookup("tendon.input").as_deref() {
+                None | Some("raw") => WindowInput::Raw,
+                Some("envelope") => WindowInput::Envelope,
+                Some(other) => return Err(wrong("tendon.input", other)),
+            },
             classes: classes
                 .split(',')
                 .map(|name| name.trim().parse())
                 .collect::<Result<Vec<Gesture>, _>>()
                 .map_err(|_| wrong("tendon.classes", &classes))?,
+            provenance: lookup("tendon.provenance"),
         })
     }
 
@@ -89,6 +99,7 @@ impl Contract {
         sample_rate_hz: f64,
         window_samples: usize,
         filter: &FilterSettings,
+        input: WindowInput,
         needs_rest: bool,
     ) -> Vec<Mismatch> {
         let mut mismatches = Vec::new();
@@ -112,6 +123,11 @@ impl Contract {
         );
         compare("filter", self.filter == *filter, format!("{:?}", self.filter), format!("{filter:?}"));
         let names: Vec<&str> = self.classes.iter().map(|gesture| gesture.name()).collect();
+        let said = |input| match input {
+            WindowInput::Raw => "the filtered signal".to_owned(),
+            WindowInput::Envelope => "its envelope".to_owned(),
+        };
+        compare("input", self.input == input, said(self.input), said(input));
         compare(
             "classes",
             !needs_rest || self.classes.contains(&Gesture::Rest),
@@ -146,10 +162,10 @@ mod tests {
         let contract = Contract::read(metadata).unwrap();
         assert_eq!(contract.classes, Gesture::ACTIVE);
         let filter = FilterSettings::default();
-        assert_eq!(contract.mismatches(4, 2000.0, 600, &filter, false), []);
-        let mismatches = contract.mismatches(10, 1000.0, 300, &filter, true);
+        assert_eq!(contract.mismatches(4, 2000.0, 600, &filter, WindowInput::Raw, false), []);
+        let mismatches = contract.mismatches(10, 1000.0, 300, &filter, WindowInput::Envelope, true);
         let text: Vec<String> = mismatches.iter().map(ToString::to_string).collect();
-        assert_eq!(text.len(), 4);
+        assert_eq!(text.len(), 5);
         assert_eq!(text[0], "channels: the model wants 4, the session has 10");
         assert_eq!(text[1], "sampling rate: the model wants 2000 Hz, the session has 1000 Hz");
     }
@@ -161,6 +177,7 @@ mod tests {
             ("tendon.channels", Some("0"), "`tendon.channels` is `0`"),
             ("tendon.sample_rate_hz", Some("fast"), "`tendon.sample_rate_hz` is `fast`"),
             ("tendon.filter", Some("none"), "`tendon.filter` is `none`"),
+            ("tendon.input", Some("spectrum"), "`tendon.input` is `spectrum`"),
             ("tendon.classes", Some("fist"), "`tendon.classes` is `fist`"),
             ("tendon.contract_version", Some("2"), "contract version 2"),
         ] {

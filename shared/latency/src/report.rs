@@ -11,7 +11,7 @@ use tendon_messages::Stage;
 use crate::measurements::SessionMeasurements;
 
 /// What `tendon run` reports. The JSON keys are a contract with other programs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Session name.
     pub session: String,
@@ -202,8 +202,8 @@ fn topic(stage: Stage) -> &'static str {
 }
 
 impl Report {
-    /// Puts in everything that the stages measured; what only the supervisor knows stays as it is.
-    pub fn measured(self, measurements: &SessionMeasurements) -> Report {
+    /// Everything that the stages measured; what only the supervisor knows is empty.
+    pub fn of(measurements: &SessionMeasurements) -> Report {
         let milliseconds = |ns: f64| ns / 1e6;
         let window = &measurements.window_start_to_command;
         let histogram = &window.histogram;
@@ -248,7 +248,7 @@ impl Report {
                 .map(|stage| (stage.name().to_owned(), measurements.allocations(stage)))
                 .collect(),
             recognition: Recognition::of(&measurements.recognised),
-            ..self
+            ..Report::default()
         }
     }
 
@@ -343,32 +343,6 @@ mod tests {
     use super::*;
     use tendon_messages::{Measurement, MeasurementHeader};
 
-    fn empty() -> Report {
-        Report {
-            session: "test".into(),
-            duration_s: 1.0,
-            source: "simulate".into(),
-            robot: "simulate".into(),
-            model: "model.onnx".into(),
-            strategy: "threshold".into(),
-            scheduling: BTreeMap::new(),
-            hops: vec![],
-            work: vec![],
-            newest_sample_to_command: LatencySummary::default(),
-            window_start_to_command: WindowStartSummary::default(),
-            messages: BTreeMap::new(),
-            skipped_blocks: 0,
-            replaced_samples: 0,
-            allocations: BTreeMap::new(),
-            recognition: Recognition::default(),
-            replay_x_real_time: None,
-            restarts: 0,
-            cpu_s: BTreeMap::new(),
-            memory_mb: BTreeMap::new(),
-            final_position_mm: [0.0; 3],
-        }
-    }
-
     #[test]
     fn the_report_has_the_keys_that_other_programs_read() {
         let mut measurements = SessionMeasurements::default();
@@ -387,7 +361,7 @@ mod tests {
             gesture: gesture as u8,
         };
         measurements.absorb(&decision, &[seen(Gesture::Extension), seen(Gesture::Grip)]);
-        let report = empty().measured(&measurements);
+        let report = Report::of(&measurements);
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["hops"][2]["from"], "inference");
         assert_eq!(json["hops"][2]["to"], "decision");

@@ -14,10 +14,12 @@
 //! # What is written
 //! | file | content |
 //! |---|---|
-//! | `windows.npy` | float32 `[n, channels, window]`, filtered, in the recording's unit |
+//! | `windows.npy` | float32 `[n, channels, window]`, filtered or its envelope, in the recording's unit |
 //! | `labels.npy` | uint8 `[n]`, class numbers of [`Gesture`] |
 //! | `people.npy` | uint16 `[n]`, the number P of the folder `ParticipantP` |
 //! | `repetitions.npy` | uint8 `[n]`, 0 to 3 in `train`, 4 to 7 in `test` |
+//! | `recordings.npy` | uint32 `[n]`, the window's recording: its place in the manifest's `recordings` |
+//! | `starts.npy` | uint32 `[n]`, the window's first sample within that recording, at the data set's rate |
 //! | `manifest.json` | [`Manifest`]: settings, counts, and what became of each file |
 
 use std::collections::BTreeMap;
@@ -27,7 +29,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
-use tendon_signal::{DesignError, EmgFilter, FilterSettings, OnsetSettings, WindowSettings, find_onset};
+use tendon_signal::{
+    DesignError, EmgFilter, Envelope, FilterSettings, OnsetSettings, WindowInput, WindowSettings, find_onset,
+};
 
 use crate::error::RecordingError;
 use crate::npy::NpyWriter;
@@ -44,13 +48,15 @@ pub struct DatasetSettings {
     pub channels: Vec<Channel>,
     /// Sampling rate of the windows, in Hz: the session's.
     pub sample_rate_hz: f64,
-    /// The session's filter.
-    pub filter: FilterSettings,
+    /// The session's filter; `null` for recordings that are filtered already.
+    pub filter: Option<FilterSettings>,
+    /// What the windows hold.
+    pub input: WindowInput,
     /// Length and distance of the windows.
     pub windows: WindowSettings,
     /// How the start of a movement is found.
     pub onset: OnsetSettings,
-    /// Where a gesture is taken to begin if no onset is found, in ms from the cue.
+    /// Where a gesture is taken to begin if no onset is found, in ms from the cue; 0 keeps the whole recording.
     pub fallback_ms: f64,
     /// How much of the start of rest is left out, in ms: the movement before it dies away.
     pub rest_start_ms: f64,
@@ -61,7 +67,8 @@ impl Default for DatasetSettings {
         DatasetSettings {
             channels: [0, 3, 5, 8].map(Channel::Index).to_vec(),
             sample_rate_hz: 2000.0,
-            filter: FilterSettings::default(),
+            filter: Some(FilterSettings::default()),
+            input: WindowInput::Raw,
             windows: WindowSettings::default(),
             onset: OnsetSettings::default(),
             fallback_ms: 500.0,
@@ -83,17 +90,64 @@ pub struct Manifest {
     pub windows_per_person: BTreeMap<u16, u64>,
     /// Gesture files, rest not counted, in which no onset was found.
     pub fallbacks: u64,
+    /// How onsets were found, by gesture, and over all as `total`: the paper's table of fallbacks.
+    pub onsets: BTreeMap<String, OnsetStatistics>,
     /// Every file that was used, in the order of the windows.
-    pub files: Vec<FileEntry>,
+    pub recordings: Vec<RecordingEntry>,
     /// Every file or repetition that was not used.
     pub skipped: Vec<SkippedEntry>,
     /// What the user should know about the recordings.
     pub notices: Vec<String>,
 }
 
+/// How onsets were found. Times are from the cue to the onset itself, without the margin, in ms; 0 of none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OnsetStatistics {
+    /// Recordings of a movement.
+    pub recordings: u64,
+    /// Those without an onset.
+    pub fallbacks: u64,
+    /// Their share, in percent.
+    pub fallback_percent: f64,
+    /// Mean onset.
+    pub mean_ms: f64,
+    /// Standard deviation (of the sample).
+    pub sd_ms: f64,
+    /// Earliest onset.
+    pub min_ms: f64,
+    /// Latest onset.
+    pub max_ms: f64,
+}
+
+impl OnsetStatistics {
+    fn of<'a>(recordings: impl Iterator<Item = &'a RecordingEntry>) -> OnsetStatistics {
+        let mut statistics = OnsetStatistics::default();
+        let mut onsets_ms = Vec::new();
+        for entry in recordings.filter(|entry| entry.gesture != Gesture::Rest) {
+            statistics.recordings += 1;
+            statistics.fallbacks += u64::from(entry.fallback);
+            onsets_ms.extend(entry.onset_sample.map(|onset| onset as f64 * 1e3 / entry.sample_rate_hz));
+        }
+        let count = onsets_ms.len() as f64;
+        if !onsets_ms.is_empty() {
+            statistics.mean_ms = onsets_ms.iter().sum::<f64>() / count;
+            statistics.min_ms = onsets_ms.iter().copied().fold(f64::INFINITY, f64::min);
+            statistics.max_ms = onsets_ms.iter().copied().fold(0.0, f64::max);
+        }
+        if onsets_ms.len() > 1 {
+            let squares: f64 = onsets_ms.iter().map(|onset| (onset - statistics.mean_ms).powi(2)).sum();
+            statistics.sd_ms = (squares / (count - 1.0)).sqrt();
+        }
+        if statistics.recordings > 0 {
+            statistics.fallback_percent = 100.0 * statistics.fallbacks as f64 / statistics.recordings as f64;
+        }
+        statistics
+    }
+}
+
 /// A file that windows were cut from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FileEntry {
+pub struct RecordingEntry {
     /// The file.
     pub file: PathBuf,
     /// Number of the person.
@@ -104,10 +158,14 @@ pub struct FileEntry {
     pub repetition: u32,
     /// What the person was asked to do.
     pub gesture: Gesture,
-    /// Samples of the file at the data set's rate.
+    /// Rate that samples are counted at, Hz: the data set's.
+    pub sample_rate_hz: f64,
+    /// Samples of the file at that rate.
     pub samples: usize,
-    /// Where the movement begins, margin included; `null` for rest and where none was found.
+    /// Where the movement begins; `null` for rest and where none was found.
     pub onset_sample: Option<usize>,
+    /// Where the first window begins: the margin before the onset, the fixed cut-off, or where rest has settled.
+    pub start_sample: usize,
     /// Whether the fixed cut-off stands in for an onset that was not found.
     pub fallback: bool,
     /// Index of its first window in the arrays.
@@ -223,8 +281,9 @@ impl Origin {
     }
 }
 
-/// Cuts the windows of all `recordings`, 3DC folders `ParticipantP/{train,test}/EMG`, and writes the data set
-/// to `out_dir`, which is created. Recordings that cannot be used are left out and listed in the manifest.
+/// Cuts the windows of all `recordings`, 3DC folders `ParticipantP/{train,test}/EMG` or folders above such, and
+/// writes the data set to `out_dir`, which is created. Recordings that cannot be used are left out and listed in the
+/// manifest.
 ///
 /// # Errors
 /// When a path is no such folder, the settings do not fit, or the data set cannot be written. The manifest is
@@ -236,11 +295,16 @@ pub fn build(
     progress: &mut dyn FnMut(Progress<'_>),
 ) -> Result<Manifest, DatasetError> {
     let mut repetitions = Vec::new();
-    for folder in recordings {
-        let origin =
-            Origin::of_folder(folder).ok_or_else(|| DatasetError::Unplaced { folder: folder.clone() })?;
-        for repetition in three_dc::repetitions(folder)? {
-            repetitions.push((folder, origin.clone(), repetition));
+    for given in recordings {
+        let mut folders = Vec::new();
+        gather_folders(given, &mut folders);
+        if folders.is_empty() {
+            return Err(DatasetError::Unplaced { folder: given.clone() });
+        }
+        for (folder, origin) in folders {
+            for repetition in three_dc::repetitions(&folder)? {
+                repetitions.push((folder.clone(), origin.clone(), repetition));
+            }
         }
     }
     let mut builder = Builder::create(settings, out_dir)?;
@@ -259,6 +323,20 @@ pub fn build(
     builder.finish()
 }
 
+/// The folders of recordings at or below `folder`, in the order of people and sessions: `train` comes before `test`.
+fn gather_folders(folder: &Path, found: &mut Vec<(PathBuf, Origin)>) {
+    if let Some(origin) = Origin::of_folder(folder) {
+        found.push((folder.to_owned(), origin));
+        return;
+    }
+    // A folder that cannot be listed holds nothing for us; if nothing is found at all, that is an error.
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    for entry in entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir())) {
+        gather_folders(&entry.path(), found);
+    }
+    found.sort_by_key(|(_, origin)| (origin.person, origin.session.repetition_of_both(0)));
+}
+
 /// The data set being written.
 struct Builder<'a> {
     settings: &'a DatasetSettings,
@@ -267,6 +345,8 @@ struct Builder<'a> {
     labels: NpyWriter<u8>,
     people: NpyWriter<u16>,
     repetitions: NpyWriter<u8>,
+    recordings: NpyWriter<u32>,
+    starts: NpyWriter<u32>,
     manifest: Manifest,
 }
 
@@ -275,7 +355,9 @@ impl<'a> Builder<'a> {
         let channels = settings.channels.len();
         let WindowSettings { window_samples, increment_samples } = settings.windows;
         // What would otherwise only show at the first recording, as a reason to skip it.
-        EmgFilter::new(&settings.filter, channels, settings.sample_rate_hz)?;
+        if let Some(filter) = &settings.filter {
+            EmgFilter::new(filter, channels, settings.sample_rate_hz)?;
+        }
         find_onset(&settings.onset, &[], channels, settings.sample_rate_hz)?;
         for (setting, samples, example) in
             [("window_samples", window_samples, 600), ("increment_samples", increment_samples, 150)]
@@ -310,13 +392,16 @@ impl<'a> Builder<'a> {
             people: NpyWriter::create(&path(PEOPLE), &[]).map_err(write_error(&path(PEOPLE)))?,
             repetitions: NpyWriter::create(&path(REPETITIONS), &[])
                 .map_err(write_error(&path(REPETITIONS)))?,
+            recordings: NpyWriter::create(&path(RECORDINGS), &[]).map_err(write_error(&path(RECORDINGS)))?,
+            starts: NpyWriter::create(&path(STARTS), &[]).map_err(write_error(&path(STARTS)))?,
             manifest: Manifest {
                 settings: settings.clone(),
                 windows: 0,
                 windows_per_gesture: BTreeMap::new(),
                 windows_per_person: BTreeMap::new(),
                 fallbacks: 0,
-                files: Vec::new(),
+                onsets: BTreeMap::new(),
+                recordings: Vec::new(),
                 skipped: Vec::new(),
                 notices: Vec::new(),
             },
@@ -347,7 +432,8 @@ impl<'a> Builder<'a> {
 
         let channels = self.settings.channels.len();
         let rate_hz = self.settings.sample_rate_hz;
-        let mut filter = EmgFilter::new(&self.settings.filter, channels, rate_hz)?;
+        let filter = self.settings.filter.as_ref();
+        let mut filter = filter.map(|filter| EmgFilter::new(filter, channels, rate_hz)).transpose()?;
         let mut stream = ReplayStream::open(folder, &settings, rate_hz, 1)?;
         let segments = stream.source().segments().to_vec();
         let mut frame = vec![0.0; channels];
@@ -358,7 +444,9 @@ impl<'a> Builder<'a> {
             if block.is_none_or(|block| block.segment != segment) {
                 let mut replaced_samples = 0;
                 for (channel, samples) in signal.iter_mut().enumerate() {
-                    replaced_samples += filter.process(channel, samples);
+                    if let Some(filter) = &mut filter {
+                        replaced_samples += filter.process(channel, samples);
+                    }
                 }
                 self.add_segment(origin, &segments[segment], &signal.concat(), replaced_samples)?;
                 signal.iter_mut().for_each(Vec::clear);
@@ -391,18 +479,26 @@ impl<'a> Builder<'a> {
         let rate_hz = self.settings.sample_rate_hz;
         let samples = signal.len() / channels;
         let samples_of_ms = |ms: f64| (ms * 1e-3 * rate_hz).round() as usize;
-        let (onset_sample, start) = match gesture {
+        let (onset_sample, start_sample) = match gesture {
             Gesture::Rest => (None, samples_of_ms(self.settings.rest_start_ms)),
-            _ => {
-                let onset = find_onset(&self.settings.onset, signal, channels, rate_hz)?;
-                (onset, onset.unwrap_or(samples_of_ms(self.settings.fallback_ms)))
+            _ => match find_onset(&self.settings.onset, signal, channels, rate_hz)? {
+                Some(onset) => (Some(onset.sample), onset.start_sample),
+                None => (None, samples_of_ms(self.settings.fallback_ms)),
+            },
+        };
+        let envelope = match self.settings.input {
+            WindowInput::Raw => None,
+            WindowInput::Envelope => {
+                Some(envelope_of(signal, samples, self.settings.onset.envelope_ms, rate_hz)?)
             }
         };
+        let content = envelope.as_deref().unwrap_or(signal);
         let WindowSettings { window_samples, increment_samples } = self.settings.windows;
         let first_window = self.manifest.windows;
-        let mut first = start;
+        let recording = self.manifest.recordings.len() as u32;
+        let mut first = start_sample;
         while first.saturating_add(window_samples) <= samples {
-            for channel in signal.chunks_exact(samples) {
+            for channel in content.chunks_exact(samples) {
                 self.windows
                     .write(&channel[first..first + window_samples])
                     .map_err(write_error(&self.out_dir.join(WINDOWS)))?;
@@ -412,12 +508,14 @@ impl<'a> Builder<'a> {
             self.repetitions
                 .write(&[origin.session.repetition_of_both(repetition)])
                 .map_err(write_error(&self.out_dir.join(REPETITIONS)))?;
+            self.recordings.write(&[recording]).map_err(write_error(&self.out_dir.join(RECORDINGS)))?;
+            self.starts.write(&[first as u32]).map_err(write_error(&self.out_dir.join(STARTS)))?;
             self.manifest.windows += 1;
             first = first.saturating_add(increment_samples);
         }
         let windows = self.manifest.windows - first_window;
         if windows == 0 {
-            let left = samples.saturating_sub(start);
+            let left = samples.saturating_sub(start_sample);
             let reason =
                 format!("{left} samples after the start of the gesture, a window has {window_samples}");
             self.skip(segment, reason);
@@ -427,14 +525,16 @@ impl<'a> Builder<'a> {
         self.manifest.fallbacks += u64::from(fallback);
         *self.manifest.windows_per_gesture.entry(gesture.name().to_owned()).or_default() += windows;
         *self.manifest.windows_per_person.entry(origin.person).or_default() += windows;
-        self.manifest.files.push(FileEntry {
+        self.manifest.recordings.push(RecordingEntry {
             file: segment.file.clone(),
             person: origin.person,
             session: origin.session.name().to_owned(),
             repetition,
             gesture,
+            sample_rate_hz: rate_hz,
             samples,
             onset_sample,
+            start_sample,
             fallback,
             first_window,
             windows,
@@ -446,12 +546,21 @@ impl<'a> Builder<'a> {
         self.manifest.skipped.push(SkippedEntry { path: segment.file.clone(), reason });
     }
 
-    fn finish(self) -> Result<Manifest, DatasetError> {
+    fn finish(mut self) -> Result<Manifest, DatasetError> {
+        let recordings = &self.manifest.recordings;
+        let of_gesture = |gesture: Gesture| {
+            let statistics = OnsetStatistics::of(recordings.iter().filter(|entry| entry.gesture == gesture));
+            (gesture.name().to_owned(), statistics)
+        };
+        let total = ("total".to_owned(), OnsetStatistics::of(recordings.iter()));
+        self.manifest.onsets = Gesture::ACTIVE.into_iter().map(of_gesture).chain([total]).collect();
         let path = |name| self.out_dir.join(name);
         self.windows.finish().map_err(write_error(&path(WINDOWS)))?;
         self.labels.finish().map_err(write_error(&path(LABELS)))?;
         self.people.finish().map_err(write_error(&path(PEOPLE)))?;
         self.repetitions.finish().map_err(write_error(&path(REPETITIONS)))?;
+        self.recordings.finish().map_err(write_error(&path(RECORDINGS)))?;
+        self.starts.finish().map_err(write_error(&path(STARTS)))?;
         let manifest_path = path(MANIFEST);
         let write_manifest = || {
             let mut file = io::BufWriter::new(File::create(&manifest_path)?);
@@ -463,11 +572,28 @@ impl<'a> Builder<'a> {
     }
 }
 
-const WINDOWS: &str = "windows.npy";
-const LABELS: &str = "labels.npy";
-const PEOPLE: &str = "people.npy";
-const REPETITIONS: &str = "repetitions.npy";
-const MANIFEST: &str = "manifest.json";
+pub(crate) const WINDOWS: &str = "windows.npy";
+pub(crate) const LABELS: &str = "labels.npy";
+pub(crate) const PEOPLE: &str = "people.npy";
+pub(crate) const REPETITIONS: &str = "repetitions.npy";
+pub(crate) const RECORDINGS: &str = "recordings.npy";
+pub(crate) const STARTS: &str = "starts.npy";
+pub(crate) const MANIFEST: &str = "manifest.json";
+
+/// The moving RMS of every channel of a recording, which begins anew.
+fn envelope_of(
+    signal: &[f32],
+    samples: usize,
+    envelope_ms: f64,
+    rate_hz: f64,
+) -> Result<Vec<f32>, DesignError> {
+    let mut envelope = Vec::with_capacity(signal.len());
+    for channel in signal.chunks_exact(samples.max(1)) {
+        let mut tracker = Envelope::new(envelope_ms, rate_hz)?;
+        envelope.extend(channel.iter().map(|&sample| tracker.push(sample)));
+    }
+    Ok(envelope)
+}
 
 fn write_error(path: &Path) -> impl FnOnce(io::Error) -> DatasetError + '_ {
     |reason| DatasetError::Write { path: path.to_owned(), reason }

@@ -18,12 +18,14 @@ mod mapped;
 mod npy;
 mod replay;
 mod source;
+mod stored;
 pub mod table;
 mod three_dc;
 
 pub use error::RecordingError;
 pub use replay::{ReplayBlock, ReplayStream};
 pub use source::{CueSpan, Frame, Notice, RecordingSettings, RecordingSource, Segment, Summary, check};
+pub use stored::{StoredDataset, StoredDatasetError};
 pub use table::Channel;
 pub use three_dc::{
     SAMPLE_RATE_HZ as THREE_DC_SAMPLE_RATE_HZ, is_three_dc, repetitions as three_dc_repetitions,

@@ -12,7 +12,7 @@ use proptest::prelude::*;
 use tendon_gesture::Gesture;
 use tendon_recordings::dataset::{self, DatasetSettings};
 use tendon_recordings::{
-    Channel, Notice, RecordingError, RecordingSettings, RecordingSource, ReplayStream, check,
+    Channel, Notice, RecordingError, RecordingSettings, RecordingSource, ReplayStream, StoredDataset, check,
 };
 
 fn settings(channels: &[usize], sample_rate_hz: Option<f64>) -> RecordingSettings {
@@ -376,13 +376,12 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     assert_eq!(steps, [(1, 3), (2, 3), (3, 3)]);
 
     // Rest: 3000 samples without the first 1000, a window of 600 every 150.
-    assert_eq!((manifest.files[0].gesture, manifest.files[0].samples), (Gesture::Rest, 3000));
-    assert_eq!((manifest.files[0].windows, manifest.files[0].onset_sample), (10, None));
-    for file in &manifest.files {
-        let start = match file.gesture {
-            Gesture::Rest => 1000,
-            _ => file.onset_sample.unwrap_or(1000),
-        };
+    assert_eq!((manifest.recordings[0].gesture, manifest.recordings[0].samples), (Gesture::Rest, 3000));
+    assert_eq!((manifest.recordings[0].windows, manifest.recordings[0].onset_sample), (10, None));
+    for file in &manifest.recordings {
+        // The margin before the onset, or the cut-off.
+        let start = file.onset_sample.map_or(1000, |onset| onset - 100);
+        assert_eq!(file.start_sample, start, "{file:?}");
         assert_eq!(file.windows as usize, (file.samples - start - 600) / 150 + 1, "{file:?}");
         assert_eq!(file.fallback, file.gesture != Gesture::Rest && file.onset_sample.is_none());
     }
@@ -395,11 +394,11 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     assert!(manifest.notices.iter().any(|notice| notice.contains("3dc_EMG_gesture_0_3.txt is missing")));
 
     let n = manifest.windows as usize;
-    assert_eq!(manifest.files.iter().map(|file| file.windows).sum::<u64>(), manifest.windows);
+    assert_eq!(manifest.recordings.iter().map(|file| file.windows).sum::<u64>(), manifest.windows);
     assert_eq!(npy_rows(&out.join("windows.npy"), "<f4", &format!("{n}, 2, 600,")).len(), n * 2 * 600 * 4);
     let labels = npy_rows(&out.join("labels.npy"), "|u1", &format!("{n},"));
     let expected: Vec<u8> = manifest
-        .files
+        .recordings
         .iter()
         .flat_map(|file| std::iter::repeat_n(file.gesture as u8, file.windows as usize))
         .collect();
@@ -408,9 +407,60 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     assert_eq!(people, [7, 0].repeat(n));
     let repetitions = npy_rows(&out.join("repetitions.npy"), "|u1", &format!("{n},"));
     assert_eq!(repetitions.last(), Some(&1));
+    let places = |name: &str| -> Vec<u32> {
+        let bytes = npy_rows(&out.join(name), "<u4", &format!("{n},"));
+        bytes.chunks_exact(4).map(|bytes| u32::from_le_bytes(bytes.try_into().unwrap())).collect()
+    };
+    let mut expected = Vec::new();
+    for (recording, file) in manifest.recordings.iter().enumerate() {
+        let start = |window: u64| (recording as u32, file.start_sample as u32 + 150 * window as u32);
+        expected.extend((0..file.windows).map(start));
+    }
+    let stored: Vec<(u32, u32)> = places("recordings.npy").into_iter().zip(places("starts.npy")).collect();
+    assert_eq!(stored, expected);
+    let moving = manifest.recordings.iter().filter(|file| file.gesture != Gesture::Rest).count();
+    assert_eq!(manifest.onsets["total"].recordings, moving as u64);
+    assert_eq!(manifest.onsets["total"].fallbacks, manifest.fallbacks);
     let written: dataset::Manifest =
         serde_json::from_slice(&fs::read(out.join("manifest.json")).unwrap()).unwrap();
     assert_eq!(written, manifest);
+
+    let mut stored = StoredDataset::open(&out).unwrap();
+    assert_eq!((stored.len(), stored.manifest()), (n, &manifest));
+    for index in 0..n {
+        assert_eq!((stored.gesture(index) as u8, stored.person(index)), (labels[index], 7));
+        assert_eq!(stored.repetition(index), repetitions[index]);
+        let bytes: Vec<u8> = stored.window(index).iter().flat_map(|sample| sample.to_le_bytes()).collect();
+        let all = npy_rows(&out.join("windows.npy"), "<f4", &format!("{n}, 2, 600,"));
+        assert!(bytes == all[index * bytes.len()..][..bytes.len()], "window {index}");
+        stored.release_before(index);
+    }
+}
+
+#[test]
+fn a_data_set_whose_parts_do_not_fit_is_refused_by_name() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = write_three_dc(temporary.path(), &[(0, 0, 1500), (0, 4, 1500)]);
+    let settings = DatasetSettings {
+        channels: vec![Channel::Index(0), Channel::Index(1)],
+        ..DatasetSettings::default()
+    };
+    let out = temporary.path().join("out");
+    dataset::build(&settings, &[folder], &out, &mut |_| {}).unwrap();
+    let refused = || StoredDataset::open(&out).map(|_| ()).unwrap_err().to_string();
+
+    let labels = fs::read(out.join("labels.npy")).unwrap();
+    let mut unknown = labels.clone();
+    *unknown.last_mut().unwrap() = 6;
+    fs::write(out.join("labels.npy"), &unknown).unwrap();
+    assert!(refused().contains("labels.npy: window") && refused().contains("label 6"), "{}", refused());
+    fs::copy(out.join("windows.npy"), out.join("labels.npy")).unwrap();
+    assert!(refused().contains("labels.npy: it holds values of type <f4"), "{}", refused());
+    fs::write(out.join("labels.npy"), &labels).unwrap();
+    fs::write(out.join("manifest.json"), "{}").unwrap();
+    assert!(refused().contains("manifest.json: is damaged"), "{}", refused());
+    fs::remove_file(out.join("manifest.json")).unwrap();
+    assert!(refused().contains("tendon dataset build"), "{}", refused());
 }
 
 #[test]
@@ -441,8 +491,8 @@ fn the_windows_of_a_data_set_are_those_of_the_live_chain() {
     let mut chain = tendon_signal::SignalChain::new(&signal, 4, 2000.0).unwrap();
     let mut starts = std::collections::HashMap::new();
     let mut file_start = 0;
-    for file in &manifest.files {
-        let start = file_start + file.onset_sample.unwrap_or(1000);
+    for file in &manifest.recordings {
+        let start = file_start + file.start_sample;
         starts.extend((0..file.windows as usize).map(|n| (start + 150 * n, file.first_window as usize + n)));
         file_start += file.samples;
     }
@@ -476,7 +526,11 @@ fn a_data_set_says_why_it_cannot_be_built() {
     assert!(message(&two, &folder).contains("a window has 600"));
     let default = DatasetSettings::default();
     assert!(message(&default, &folder).contains("there is no channel 3: the file has 2"));
-    assert!(message(&two, temporary.path()).contains("ParticipantP/train/EMG"));
+    let empty = temporary.path().join("empty");
+    fs::create_dir(&empty).unwrap();
+    assert!(message(&two, &empty).contains("ParticipantP/train/EMG"));
+    // What lies below a folder is found.
+    assert!(message(&two, temporary.path()).contains("a window has 600"));
     let no_rate = DatasetSettings { sample_rate_hz: 0.0, ..Default::default() };
     assert!(message(&no_rate, &folder).contains("sample_rate_hz = 0"));
     assert!(!out.join("manifest.json").exists());

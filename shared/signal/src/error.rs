@@ -39,6 +39,12 @@ pub enum DesignError {
     /// The order of the band-pass is zero or needlessly high.
     #[error("band_pass_order = {0}: give an order from 1 to 12, e.g. 6")]
     BandOrder(usize),
+    /// The percentile is none.
+    #[error("peak_percentile = {value}: give a percentile from 0 to 100, e.g. 80")]
+    Percentile {
+        /// What was given.
+        value: f64,
+    },
     /// A duration is shorter than a sample, or longer than an hour.
     #[error("{setting} = {value}: give a duration from one sample to an hour, e.g. {example}")]
     Duration {

@@ -28,6 +28,6 @@ pub use design::{MAX_ORDER, Section, butterworth_band_pass, butterworth_high_pas
 pub use envelope::{DEFAULT_ENVELOPE_MS, Envelope};
 pub use error::DesignError;
 pub use filter::{EmgFilter, FilterSettings, LARGEST_SAMPLE};
-pub use onset::{OnsetSettings, find_onset};
+pub use onset::{Onset, OnsetMethod, OnsetSettings, find_onset};
 pub use resample::Resampler;
-pub use windows::{WindowSettings, Windower};
+pub use windows::{WindowInput, WindowSettings, Windower};

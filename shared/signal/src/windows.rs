@@ -11,6 +11,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::DesignError;
 
+/// What windows hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WindowInput {
+    /// The filtered signal. Live windows are always that.
+    #[default]
+    Raw,
+    /// Its moving RMS.
+    Envelope,
+}
+
 /// Length and distance of the windows. The defaults are the paper's 300 ms every 75 ms at 2000 Hz.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use tendon_signal::{
-    ActivitySettings, Baseline, EmgFilter, Envelope, FilterSettings, OnsetSettings, Resampler, Section,
-    butterworth_band_pass, butterworth_high_pass, find_onset, notch,
+    ActivitySettings, Baseline, EmgFilter, Envelope, FilterSettings, Onset, OnsetMethod, OnsetSettings,
+    Resampler, Section, butterworth_band_pass, butterworth_high_pass, find_onset, notch,
 };
 
 fn golden<T: DeserializeOwned>(name: &str) -> T {
@@ -139,12 +139,20 @@ fn onsets_are_those_of_numpy() {
         channels: usize,
         signal: Vec<f32>,
         onset: Option<usize>,
+        onset_by_peaks: Option<usize>,
     }
     let Cases { cases } = golden::<Cases<Case>>("onset.json");
     assert!(cases.iter().any(|case| case.onset.is_some()) && cases.iter().any(|case| case.onset.is_none()));
     for (number, case) in cases.iter().enumerate() {
-        let onset = find_onset(&OnsetSettings::default(), &case.signal, case.channels, case.sample_rate_hz);
-        assert_eq!(onset, Ok(case.onset), "case {number}");
+        let margin = (0.05 * case.sample_rate_hz).round() as usize;
+        let expected = |sample: Option<usize>| {
+            sample.map(|sample| Onset { sample, start_sample: sample.saturating_sub(margin) })
+        };
+        let by_peaks = OnsetSettings { method: OnsetMethod::PeakPercentile, ..OnsetSettings::default() };
+        for (settings, sample) in [(OnsetSettings::default(), case.onset), (by_peaks, case.onset_by_peaks)] {
+            let onset = find_onset(&settings, &case.signal, case.channels, case.sample_rate_hz);
+            assert_eq!(onset, Ok(expected(sample)), "case {number}, {:?}", settings.method);
+        }
     }
 }
 

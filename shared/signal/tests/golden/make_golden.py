@@ -102,34 +102,40 @@ def streaming(random):
     write("streaming.json", {"cases": cases})
 
 
-def onset(signal, rate_hz):
-    """The first sample of the movement by the paper's method: `signal` is [channels, samples]."""
+def onset(signal, rate_hz, peak_percentile=None):
+    """The first sample of the movement by the paper's methods: `signal` is [channels, samples]."""
     envelopes = np.array([moving_rms(channel, round(0.025 * rate_hz)) for channel in signal])
     envelope = envelopes[np.argmax(envelopes.mean(axis=1))]
-    median, sigma = baseline(envelope[: round(0.5 * rate_hz)])
-    above = envelope > median + 2.5 * sigma
+    if peak_percentile is None:
+        median, sigma = baseline(envelope[: round(0.5 * rate_hz)])
+        threshold = median + 2.5 * sigma
+    else:
+        threshold = np.percentile(envelope[ss.argrelmax(envelope)[0]], peak_percentile)
+    above = envelope > threshold
     duration = round(0.020 * rate_hz)
     for start in range(round(0.1 * rate_hz), min(round(1.0 * rate_hz), len(envelope)) - duration + 1):
         if above[start : start + duration].all():
-            return max(0, start - round(0.05 * rate_hz))
+            return start
     return None
 
 
 def onsets(random):
     cases = []
     # Movement from so many ms on; -1: never, 0: from the start, 990: too late to last 20 ms by 1000 ms.
-    for rate_hz, begins_ms in ((1000, 420), (1000, 700), (1000, -1), (1000, 0), (1000, 990), (500, 640)):
+    for rate_hz, begins_ms in ((1000, 420), (1000, 700), (1000, -1), (1000, 0), (1000, 990), (400, 640)):
         samples = round(1.2 * rate_hz)
         signal = random.standard_normal((2, samples)) * [[3.0], [2.0]]
         if begins_ms >= 0:
             signal[1, round(begins_ms * rate_hz / 1000) :] *= 12
-        signal = np.round(signal, 1).astype(np.float32)
+        # Fine enough that no two envelopes side by side are equal: where is the peak then?
+        signal = np.round(signal, 3).astype(np.float32)
         cases.append(
             {
                 "sample_rate_hz": rate_hz,
                 "channels": 2,
                 "signal": rounded(signal, 4),
                 "onset": onset(signal.astype(np.float64), rate_hz),
+                "onset_by_peaks": onset(signal.astype(np.float64), rate_hz, peak_percentile=80),
             }
         )
     write("onset.json", {"cases": cases})

@@ -1,0 +1,234 @@
+//! What an evaluation says: as JSON with stable keys, and as a table.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Display};
+
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
+use tendon_gesture::Gesture;
+use tendon_latency::LatencySummary;
+
+use crate::confusion::{Averages, Confusion};
+
+/// Scores of a classifier on a data set.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// Classes, in the order of the classifier's outputs.
+    pub classes: Vec<String>,
+    /// Windows classified.
+    pub windows: u64,
+    /// Windows of gestures that the classifier does not know, by gesture.
+    pub windows_left_out: BTreeMap<String, u64>,
+    /// Mean cross-entropy, in nats.
+    pub loss: f64,
+    /// Share of windows whose class was predicted.
+    pub accuracy: f64,
+    /// Scores of each class, by name.
+    pub per_class: BTreeMap<String, ClassReport>,
+    /// Every class counts the same.
+    pub macro_average: ClassReport,
+    /// Every class counts by its windows.
+    pub weighted_average: ClassReport,
+    /// Windows: one row a true class, one column a predicted class.
+    pub confusion: Vec<Vec<u64>>,
+    /// The same in percent of the row.
+    pub confusion_row_percent: Vec<Vec<f64>>,
+    /// The classes mistaken most often; missing when no window was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub most_confused: Option<ConfusedPair>,
+    /// Accuracy of each person, by number.
+    pub per_person: BTreeMap<u16, Group>,
+    /// How much people differ.
+    pub people: Spread,
+    /// Accuracy of each repetition, by number.
+    pub per_repetition: BTreeMap<u8, Group>,
+    /// How much repetitions differ.
+    pub repetitions: Spread,
+    /// Time that one window took.
+    pub work: LatencySummary,
+}
+
+/// Scores of a class, or averages of them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClassReport {
+    /// Share of the windows predicted as this class that are of it.
+    pub precision: f64,
+    /// Share of the windows of this class that are predicted as it.
+    pub recall: f64,
+    /// Harmonic mean of precision and recall.
+    pub f1: f64,
+    /// Windows.
+    pub support: u64,
+}
+
+/// A class and what it is taken for.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ConfusedPair {
+    /// What it is.
+    pub truth: String,
+    /// What it is taken for.
+    pub predicted: String,
+    /// How many windows.
+    pub windows: u64,
+}
+
+/// Answers for a group of windows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Group {
+    /// Windows.
+    pub windows: u64,
+    /// Those whose class was predicted.
+    pub correct: u64,
+    /// Their share.
+    pub accuracy: f64,
+}
+
+impl Group {
+    pub(crate) fn add(&mut self, is_correct: bool) {
+        self.windows += 1;
+        self.correct += u64::from(is_correct);
+        self.accuracy = self.correct as f64 / self.windows as f64;
+    }
+}
+
+/// How much the accuracies of groups differ. Every group counts the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Mean accuracy.
+    pub mean: f64,
+    /// Standard deviation (of the sample); 0 of less than two groups.
+    pub sd: f64,
+    /// Lowest accuracy.
+    pub min: f64,
+    /// Highest accuracy.
+    pub max: f64,
+}
+
+impl Spread {
+    fn of<'a>(groups: impl Iterator<Item = &'a Group>) -> Spread {
+        let accuracies: Vec<f64> = groups.map(|group| group.accuracy).collect();
+        if accuracies.is_empty() {
+            return Spread::default();
+        }
+        let count = accuracies.len() as f64;
+        let mean = accuracies.iter().sum::<f64>() / count;
+        let squares: f64 = accuracies.iter().map(|accuracy| (accuracy - mean).powi(2)).sum();
+        Spread {
+            mean,
+            sd: if accuracies.len() < 2 { 0.0 } else { (squares / (count - 1.0)).sqrt() },
+            min: accuracies.iter().copied().fold(f64::INFINITY, f64::min),
+            max: accuracies.iter().copied().fold(0.0, f64::max),
+        }
+    }
+}
+
+impl Evaluation {
+    pub(crate) fn new(
+        classes: &[Gesture],
+        confusion: &Confusion,
+        loss_sum: f64,
+        (people, repetitions): (&BTreeMap<u16, Group>, &BTreeMap<u8, Group>),
+        windows_left_out: &BTreeMap<Gesture, u64>,
+        work: &Histogram<u64>,
+    ) -> Evaluation {
+        let name = |class: usize| classes[class].name().to_owned();
+        let windows = confusion.windows();
+        let average = |averages: Averages| ClassReport {
+            precision: averages.precision,
+            recall: averages.recall,
+            f1: averages.f1,
+            support: windows,
+        };
+        let per_class = |class: usize| {
+            let scores = confusion.scores(class);
+            let report = ClassReport {
+                precision: scores.precision,
+                recall: scores.recall,
+                f1: scores.f1,
+                support: scores.support,
+            };
+            (name(class), report)
+        };
+        let all = 0..classes.len();
+        Evaluation {
+            classes: all.clone().map(name).collect(),
+            windows,
+            windows_left_out: windows_left_out
+                .iter()
+                .map(|(gesture, count)| (gesture.name().to_owned(), *count))
+                .collect(),
+            loss: if windows == 0 { 0.0 } else { loss_sum / windows as f64 },
+            accuracy: confusion.accuracy(),
+            per_class: all.clone().map(per_class).collect(),
+            macro_average: average(confusion.macro_average()),
+            weighted_average: average(confusion.weighted_average()),
+            confusion: all
+                .clone()
+                .map(|truth| all.clone().map(|predicted| confusion.count(truth, predicted)).collect())
+                .collect(),
+            confusion_row_percent: all
+                .clone()
+                .map(|truth| all.clone().map(|predicted| confusion.row_percent(truth, predicted)).collect())
+                .collect(),
+            most_confused: confusion.most_confused().map(|(truth, predicted, windows)| ConfusedPair {
+                truth: name(truth),
+                predicted: name(predicted),
+                windows,
+            }),
+            per_person: people.clone(),
+            people: Spread::of(people.values()),
+            per_repetition: repetitions.clone(),
+            repetitions: Spread::of(repetitions.values()),
+            work: LatencySummary::of(work),
+        }
+    }
+}
+
+/// The evaluation as tables for people.
+impl Display for Evaluation {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(out, "accuracy {:.4}, loss {:.4}, {} windows", self.accuracy, self.loss, self.windows)?;
+        for (gesture, windows) in &self.windows_left_out {
+            writeln!(out, "left out: {windows} windows of {gesture}, which the model does not know")?;
+        }
+        writeln!(out, "\n{:<18}{:>10}{:>10}{:>10}{:>10}", "class", "precision", "recall", "F1", "windows")?;
+        let averages = [("macro average", &self.macro_average), ("weighted average", &self.weighted_average)];
+        let classes = self.classes.iter().map(|class| (class.as_str(), &self.per_class[class]));
+        for (name, ClassReport { precision, recall, f1, support }) in classes.chain(averages) {
+            writeln!(out, "{name:<18}{precision:>10.4}{recall:>10.4}{f1:>10.4}{support:>10}")?;
+        }
+        write!(out, "\n{:<18}", "true \\ predicted")?;
+        for class in &self.classes {
+            write!(out, "{class:>16}")?;
+        }
+        writeln!(out)?;
+        for ((class, counts), percents) in
+            self.classes.iter().zip(&self.confusion).zip(&self.confusion_row_percent)
+        {
+            write!(out, "{class:<18}")?;
+            for (count, percent) in counts.iter().zip(percents) {
+                write!(out, "{:>16}", format!("{count} ({percent:.1} %)"))?;
+            }
+            writeln!(out)?;
+        }
+        if let Some(ConfusedPair { truth, predicted, windows }) = &self.most_confused {
+            writeln!(out, "most confused: {truth} taken for {predicted}, {windows} windows")?;
+        }
+        writeln!(out)?;
+        for (person, group) in &self.per_person {
+            writeln!(out, "person {person:<11}{:>10.4}{:>30}", group.accuracy, group.windows)?;
+        }
+        write_spread(out, "people", &self.people)?;
+        for (repetition, group) in &self.per_repetition {
+            writeln!(out, "repetition {repetition:<7}{:>10.4}{:>30}", group.accuracy, group.windows)?;
+        }
+        write_spread(out, "repetitions", &self.repetitions)?;
+        let LatencySummary { p50_us, p99_us, max_us, .. } = self.work;
+        writeln!(out, "a window took {p50_us:.0} us (p50), {p99_us:.0} us (p99), {max_us:.0} us at most")
+    }
+}
+
+fn write_spread(out: &mut fmt::Formatter<'_>, of: &str, spread: &Spread) -> fmt::Result {
+    let Spread { mean, sd, min, max } = spread;
+    writeln!(out, "{of}: mean {mean:.4}, sd {sd:.4}, from {min:.4} to {max:.4}\n")
+}

@@ -1,0 +1,19 @@
+//! How well a classifier recognises gestures.
+//!
+//! ```text
+//! window ─▶ probabilities ─▶ Tally ─▶ Evaluation ─┬─▶ text, JSON
+//! its true gesture, person, repetition ─┘         └─▶ figures (PNG, SVG)
+//! ```
+//!
+//! Scores are scikit-learn's, to the last digit: `classification_report`, `confusion_matrix`, `log_loss`.
+#![forbid(unsafe_code)]
+
+mod confusion;
+mod evaluation;
+mod figure;
+mod tally;
+
+pub use confusion::{Averages, ClassScores, Confusion};
+pub use evaluation::{ClassReport, ConfusedPair, Evaluation, Group, Spread};
+pub use figure::{FigureError, confusion_figure, latency_figure};
+pub use tally::{Answer, Origin, Tally};

@@ -1,0 +1,117 @@
+//! Gathers a classifier's answers, window by window.
+
+use std::collections::BTreeMap;
+
+use hdrhistogram::Histogram;
+use tendon_gesture::Gesture;
+
+use crate::confusion::Confusion;
+use crate::evaluation::{Evaluation, Group};
+
+/// Whose window it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Origin {
+    /// Number of the person.
+    pub person: u16,
+    /// Repetition of the gesture, counted through all sessions of the person.
+    pub repetition: u8,
+}
+
+/// What a classifier said of a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Answer<'a> {
+    /// Probability of every class, in the order of the classes.
+    pub probabilities: &'a [f32],
+    /// How long it took, ns.
+    pub work_ns: u64,
+}
+
+/// Answers gathered so far.
+#[derive(Clone, Debug)]
+pub struct Tally {
+    classes: Vec<Gesture>,
+    confusion: Confusion,
+    /// Sum of −ln p of the true class.
+    loss_sum: f64,
+    people: BTreeMap<u16, Group>,
+    repetitions: BTreeMap<u8, Group>,
+    work: Histogram<u64>,
+    windows_left_out: BTreeMap<Gesture, u64>,
+}
+
+/// Longest time a histogram keeps, ns: one minute.
+const LONGEST_NS: u64 = 60_000_000_000;
+/// Resolution of a histogram.
+const SIGNIFICANT_DIGITS: u8 = 3;
+
+impl Tally {
+    /// No answers yet, of a classifier that knows these classes, in the order of its outputs.
+    pub fn new(classes: &[Gesture]) -> Tally {
+        Tally {
+            classes: classes.to_vec(),
+            confusion: Confusion::new(classes.len()),
+            loss_sum: 0.0,
+            people: BTreeMap::new(),
+            repetitions: BTreeMap::new(),
+            work: Histogram::new_with_bounds(1, LONGEST_NS, SIGNIFICANT_DIGITS)
+                .expect("the bounds are constants that hdrhistogram accepts: tested"),
+            windows_left_out: BTreeMap::new(),
+        }
+    }
+
+    /// Which class a gesture is; `None`, and counted as left out, when the classifier does not know it.
+    pub fn class_of(&mut self, gesture: Gesture) -> Option<usize> {
+        let class = self.classes.iter().position(|class| *class == gesture);
+        if class.is_none() {
+            *self.windows_left_out.entry(gesture).or_default() += 1;
+        }
+        class
+    }
+
+    /// Takes the answer for a window of class `truth`. The predicted class is the most probable one, of equals
+    /// the first.
+    ///
+    /// # Panics
+    ///
+    /// When the answer has not one probability for each class.
+    pub fn record(&mut self, truth: usize, origin: Origin, answer: Answer<'_>) {
+        let probabilities = answer.probabilities;
+        assert_eq!(probabilities.len(), self.classes.len(), "one probability for each class");
+        let mut predicted = 0;
+        for (class, probability) in probabilities.iter().enumerate() {
+            if *probability > probabilities[predicted] {
+                predicted = class;
+            }
+        }
+        self.confusion.record(truth, predicted);
+        // As scikit-learn's log_loss: no single window weighs infinitely.
+        let probability = probabilities[truth].clamp(f32::EPSILON, 1.0 - f32::EPSILON);
+        self.loss_sum -= f64::from(probability).ln();
+        let is_correct = truth == predicted;
+        self.people.entry(origin.person).or_default().add(is_correct);
+        self.repetitions.entry(origin.repetition).or_default().add(is_correct);
+        self.work.saturating_record(answer.work_ns);
+    }
+
+    /// Time that each answer took, ns.
+    pub fn work(&self) -> &Histogram<u64> {
+        &self.work
+    }
+
+    /// The answers by class.
+    pub fn confusion(&self) -> &Confusion {
+        &self.confusion
+    }
+
+    /// The scores so far.
+    pub fn evaluate(&self) -> Evaluation {
+        Evaluation::new(
+            &self.classes,
+            &self.confusion,
+            self.loss_sum,
+            (&self.people, &self.repetitions),
+            &self.windows_left_out,
+            &self.work,
+        )
+    }
+}
