@@ -1,7 +1,8 @@
 """Trains the 1D CNN of the paper (section "Classification Models") and exports it to ONNX with its contract.
 
-    python train.py --dataset DIR --classes six  --out ../cnn-six-class.onnx
-    python train.py --dataset DIR --classes five --out ../cnn-five-gesture.onnx
+    scripts/train --dataset DIR --classes six  --out models/cnn-six-class.onnx
+    scripts/train --dataset DIR --classes five --out models/cnn-five-gesture.onnx
+    scripts/train --smoke
 
 DIR is what `tendon dataset build` wrote: windows that went through the same filters, onset detection and
 windowing as the live pipeline (windows.npy [n, channels, samples] float32, labels.npy, people.npy,
@@ -9,10 +10,14 @@ manifest.json). A model of envelopes (`--input envelope` there) can be evaluated
 each class are kept for validation and the epoch with the best validation accuracy is the one exported.
 
 Beside OUT this writes OUT with the ending .md, the model card, and prints the same numbers.
+
+With --smoke it trains a tiny run on windows made here, to see that everything works: data set, training, export,
+parity with ONNX Runtime. Nothing of it is kept.
 """
 
 import argparse
 import json
+import tempfile
 import time
 from pathlib import Path
 
@@ -31,6 +36,10 @@ LEARNING_RATE = 1e-3
 WEIGHT_DECAY = 1e-4
 VALIDATION_SHARE = 0.2
 PARITY_TOLERANCE = 1e-4
+# Of --smoke: windows of each gesture and person, epochs, and the test accuracy that shows that it learned.
+SMOKE_WINDOWS = 120
+SMOKE_EPOCHS = 4
+SMOKE_ACCURACY = 0.9
 # What the paper's recordings were filtered with: for a data set of recordings that were filtered before.
 PAPER_FILTER = {"notch_hz": 50.0, "notch_quality": 30.0, "band_pass_hz": [5.0, 500.0], "band_pass_order": 6}
 # Test accuracy in the paper, by number of classes.
@@ -276,17 +285,55 @@ using transfer learning", IEEE Transactions on Neural Systems and Rehabilitation
     print(card)
 
 
+def write_smoke_dataset(folder: Path) -> None:
+    """A data set like those of `tendon dataset build`: three people, six gestures told apart by their amplitudes."""
+    rng = np.random.default_rng(0)
+    labels = np.tile(np.arange(6, dtype=np.uint8), 3 * SMOKE_WINDOWS)
+    people = np.repeat(np.array([1, 2, 3], dtype=np.uint16), 6 * SMOKE_WINDOWS)
+    amplitudes = rng.uniform(5, 500, (6, 4)).astype(np.float32)
+    noise = rng.standard_normal((len(labels), 4, 600), dtype=np.float32)
+    np.save(folder / "windows.npy", noise * amplitudes[labels][:, :, None])
+    np.save(folder / "labels.npy", labels)
+    np.save(folder / "people.npy", people)
+    settings = {
+        "channels": [0, 1, 2, 3],
+        "sample_rate_hz": 2000.0,
+        "filter": PAPER_FILTER,
+        "input": "raw",
+        "windows": {"window_samples": 600, "increment_samples": 150},
+    }
+    (folder / "manifest.json").write_text(json.dumps({"settings": settings}))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dataset", type=Path, required=True, help="folder with windows.npy and manifest.json")
-    parser.add_argument("--classes", choices=CLASSES, required=True, help="six with rest, five without")
-    parser.add_argument("--out", type=Path, required=True, help="the .onnx file to write; its card goes beside")
+    parser.add_argument("--smoke", action="store_true", help="a tiny run on made-up windows, to see that it works")
+    parser.add_argument("--dataset", type=Path, help="folder with windows.npy and manifest.json")
+    parser.add_argument("--classes", choices=CLASSES, help="six with rest, five without")
+    parser.add_argument("--out", type=Path, help="the .onnx file to write; its card goes beside")
     parser.add_argument("--epochs", type=int, default=30, help="default: %(default)s, the paper's")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--test-people", type=int, nargs="+", default=[19, 20, 22], help="default: %(default)s")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads; default: %(default)s")
     arguments = parser.parse_args()
+    if arguments.smoke:
+        with tempfile.TemporaryDirectory() as folder:
+            write_smoke_dataset(Path(folder))
+            arguments.dataset, arguments.out = Path(folder), Path(folder) / "smoke.onnx"
+            arguments.classes, arguments.epochs, arguments.test_people = "six", SMOKE_EPOCHS, [3]
+            accuracy = run(arguments)
+        if accuracy < SMOKE_ACCURACY:
+            raise SystemExit(f"smoke: test accuracy {accuracy:.3f}, expected at least {SMOKE_ACCURACY}")
+        print("smoke: ok")
+        return
+    for name in ("dataset", "classes", "out"):
+        if getattr(arguments, name) is None:
+            parser.error(f"--{name} is missing (or take --smoke)")
+    run(arguments)
 
+
+def run(arguments: argparse.Namespace) -> float:
+    """Trains, exports and checks; returns the accuracy on the people held out."""
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
     rng = np.random.default_rng(arguments.seed)
@@ -352,7 +399,9 @@ def main() -> None:
         for person in arguments.test_people
     }
     confusion = confusion_matrix(labels[test], predicted, len(names))
-    write_card(arguments.out, names, metadata, settings, confusion, by_person, parity)
+    if not arguments.smoke:
+        write_card(arguments.out, names, metadata, settings, confusion, by_person, parity)
+    return float(confusion.trace() / confusion.sum())
 
 
 if __name__ == "__main__":
