@@ -9,10 +9,9 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
-use hdrhistogram::Histogram;
 use serde::Serialize;
 use tendon_config::{Realtime, SchedulingSettings};
-use tendon_latency::LatencySummary;
+use tendon_latency::{LatencySummary, duration_histogram};
 use tendon_messages::Stage;
 use tendon_process::{Control, Policy, Scheduling, Wake, schedule};
 use tendon_transport::{Leftovers, SessionLock, SessionName, now_ns};
@@ -121,7 +120,7 @@ pub fn receive(arguments: &ReceiveArguments) -> anyhow::Result<()> {
     let scheduling = arguments.child.schedule(Stage::Dsp)?;
     let lane = Lane { transport: arguments.transport, channels: arguments.channels };
     let mut receiver = lane.receiver(&arguments.child.directory)?;
-    let mut transits = histogram();
+    let mut transits = duration_histogram();
     say(&scheduling)?;
     let turns = arguments.child.turns;
     for _ in 0..turns.turns {
@@ -133,12 +132,6 @@ pub fn receive(arguments: &ReceiveArguments) -> anyhow::Result<()> {
         }
     }
     say(&LatencySummary::of(&transits))
-}
-
-/// 1 ns to 60 s in three digits.
-pub fn histogram() -> Histogram<u64> {
-    Histogram::new_with_bounds(1, 60_000_000_000, 3)
-        .expect("the bounds are in order and three digits allowed")
 }
 
 fn say(result: &impl Serialize) -> anyhow::Result<()> {

@@ -6,9 +6,8 @@
 
 use std::time::{Duration, Instant};
 
-use hdrhistogram::Histogram;
 use serde::Serialize;
-use tendon_latency::{LatencySummary, Report};
+use tendon_latency::{LatencySummary, Report, duration_histogram};
 
 use crate::{busy, session};
 
@@ -37,7 +36,7 @@ pub fn measure(seconds: f64, cores: usize) -> anyhow::Result<Option<Vec<Live>>> 
     for realtime in ["auto", "off"] {
         for saturated in [false, true] {
             let busy = if saturated { busy::saturate(cores)? } else { Vec::new() };
-            let bare_timer_late = bare_timer_late()?;
+            let bare_timer_late = bare_timer_late();
             let duration = format!("{seconds}s");
             let report = session::run(
                 &program,
@@ -55,8 +54,8 @@ pub fn measure(seconds: f64, cores: usize) -> anyhow::Result<Option<Vec<Live>>> 
 }
 
 /// Sleeps until the next due time, again and again, and measures how late that is.
-fn bare_timer_late() -> anyhow::Result<LatencySummary> {
-    let mut late = Histogram::<u64>::new_with_max(60_000_000_000, 3)?;
+fn bare_timer_late() -> LatencySummary {
+    let mut late = duration_histogram();
     let start = Instant::now();
     let mut due = Duration::ZERO;
     while due < BARE_TIMER_DURATION {
@@ -64,7 +63,7 @@ fn bare_timer_late() -> anyhow::Result<LatencySummary> {
         std::thread::sleep(due.saturating_sub(start.elapsed()));
         late.saturating_record(start.elapsed().saturating_sub(due).as_nanos() as u64);
     }
-    Ok(LatencySummary::of(&late))
+    LatencySummary::of(&late)
 }
 
 impl Live {

@@ -11,14 +11,13 @@ use tendon_arm::{STEP_NS, SimulatedArm, Twist};
 use tendon_classifier::Classifier;
 use tendon_config::Config;
 use tendon_gesture::{Decider, Evidence, Gesture};
-use tendon_latency::LatencySummary;
+use tendon_latency::{LatencySummary, duration_histogram};
 use tendon_messages::Stage;
 use tendon_signal::SignalChain;
 use tendon_transport::now_ns;
 
 use crate::busy;
 use crate::emg::simulated;
-use crate::hop::histogram;
 
 /// Blocks of a minute at 200 Hz; other work is repeated as often, inference a tenth of it.
 const REPETITIONS: usize = 12_000;
@@ -69,7 +68,7 @@ struct Stopwatch(Histogram<u64>);
 
 impl Stopwatch {
     fn new() -> Stopwatch {
-        Stopwatch(histogram())
+        Stopwatch(duration_histogram())
     }
 
     fn time<T>(&mut self, work: impl FnOnce() -> T) -> T {

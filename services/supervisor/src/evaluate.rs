@@ -12,6 +12,7 @@ use tendon_evaluation::{Answer, Evaluation, Origin, Tally, confusion_figure, lat
 use tendon_recordings::StoredDataset;
 
 use crate::Failure;
+use crate::run::write_json;
 
 /// Command line of `tendon evaluate`.
 #[derive(Debug, Args)]
@@ -97,12 +98,7 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
             x_real_time,
             evaluation,
         };
-        let text = serde_json::to_string_pretty(&scores)
-            .context("cannot write the scores as JSON")
-            .map_err(Failure::running)?;
-        std::fs::write(path, text + "\n")
-            .with_context(|| format!("cannot write {}", path.display()))
-            .map_err(Failure::running)?;
+        write_json(path, &scores).map_err(Failure::running)?;
     }
     Ok(())
 }

@@ -11,6 +11,7 @@ use anyhow::{Context, bail, ensure};
 use clap::Args;
 use hdrhistogram::serialization::V2DeflateSerializer;
 use hdrhistogram::serialization::interval_log::IntervalLogWriterBuilder;
+use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
@@ -272,9 +273,10 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     watched
 }
 
-fn write_json(path: &Path, report: &Report) -> anyhow::Result<()> {
+/// Writes what a `--json FILE` asks for.
+pub fn write_json(path: &Path, content: &impl Serialize) -> anyhow::Result<()> {
     let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-    serde_json::to_writer_pretty(file, report).with_context(|| format!("cannot write {}", path.display()))
+    serde_json::to_writer_pretty(file, content).with_context(|| format!("cannot write {}", path.display()))
 }
 
 fn stop_on_signals(events: &Sender<Event>) -> anyhow::Result<()> {

@@ -1,5 +1,7 @@
 //! Counts of a classifier's answers, and the scores that follow from them.
 
+use serde::{Deserialize, Serialize};
+
 /// Counts of answers: one row a true class, one column a predicted class.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Confusion {
@@ -7,9 +9,9 @@ pub struct Confusion {
     counts: Vec<u64>,
 }
 
-/// Scores of one class. Where a score would divide by zero, as for a class that never occurs, it is 0, as with
-/// scikit-learn's `zero_division=0`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Scores of a class, or averages of them. Where a score would divide by zero, as for a class that never occurs, it
+/// is 0, as with scikit-learn's `zero_division=0`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClassScores {
     /// Share of the windows predicted as this class that are of it.
     pub precision: f64,
@@ -17,19 +19,8 @@ pub struct ClassScores {
     pub recall: f64,
     /// Harmonic mean of precision and recall.
     pub f1: f64,
-    /// Windows of this class.
+    /// Windows of this class; of averages, all windows.
     pub support: u64,
-}
-
-/// Averages of precision, recall and F1 over all classes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Averages {
-    /// Of the precision.
-    pub precision: f64,
-    /// Of the recall.
-    pub recall: f64,
-    /// Of F1.
-    pub f1: f64,
 }
 
 impl Confusion {
@@ -101,12 +92,12 @@ impl Confusion {
     }
 
     /// Averages in which every class that occurs, or is predicted, counts the same.
-    pub fn macro_average(&self) -> Averages {
+    pub fn macro_average(&self) -> ClassScores {
         self.average(|_| 1)
     }
 
     /// Averages in which every class counts by its windows.
-    pub fn weighted_average(&self) -> Averages {
+    pub fn weighted_average(&self) -> ClassScores {
         self.average(|scores| scores.support)
     }
 
@@ -127,7 +118,7 @@ impl Confusion {
         most
     }
 
-    fn average(&self, weight: impl Fn(&ClassScores) -> u64) -> Averages {
+    fn average(&self, weight: impl Fn(&ClassScores) -> u64) -> ClassScores {
         let occurring = (0..self.classes).filter(|class| self.support(*class) + self.predicted(*class) > 0);
         let scores: Vec<(ClassScores, f64)> = occurring
             .map(|class| self.scores(class))
@@ -138,10 +129,11 @@ impl Confusion {
             let sum: f64 = scores.iter().map(|(scores, weight)| value(scores) * weight).sum();
             if total > 0.0 { sum / total } else { 0.0 }
         };
-        Averages {
+        ClassScores {
             precision: mean(|scores| scores.precision),
             recall: mean(|scores| scores.recall),
             f1: mean(|scores| scores.f1),
+            support: self.windows(),
         }
     }
 }

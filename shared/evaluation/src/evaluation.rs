@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 use std::fmt::{self, Display};
 
-use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
-use tendon_gesture::Gesture;
 use tendon_latency::LatencySummary;
 
-use crate::confusion::{Averages, Confusion};
+use crate::confusion::ClassScores;
+use crate::tally::Tally;
 
 /// Scores of a classifier on a data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,11 +23,11 @@ pub struct Evaluation {
     /// Share of windows whose class was predicted.
     pub accuracy: f64,
     /// Scores of each class, by name.
-    pub per_class: BTreeMap<String, ClassReport>,
+    pub per_class: BTreeMap<String, ClassScores>,
     /// Every class counts the same.
-    pub macro_average: ClassReport,
+    pub macro_average: ClassScores,
     /// Every class counts by its windows.
-    pub weighted_average: ClassReport,
+    pub weighted_average: ClassScores,
     /// Windows: one row a true class, one column a predicted class.
     pub confusion: Vec<Vec<u64>>,
     /// The same in percent of the row.
@@ -46,19 +45,6 @@ pub struct Evaluation {
     pub repetitions: Spread,
     /// Time that one window took.
     pub work: LatencySummary,
-}
-
-/// Scores of a class, or averages of them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ClassReport {
-    /// Share of the windows predicted as this class that are of it.
-    pub precision: f64,
-    /// Share of the windows of this class that are predicted as it.
-    pub recall: f64,
-    /// Harmonic mean of precision and recall.
-    pub f1: f64,
-    /// Windows.
-    pub support: u64,
 }
 
 /// A class and what it is taken for.
@@ -123,32 +109,10 @@ impl Spread {
 }
 
 impl Evaluation {
-    pub(crate) fn new(
-        classes: &[Gesture],
-        confusion: &Confusion,
-        loss_sum: f64,
-        (people, repetitions): (&BTreeMap<u16, Group>, &BTreeMap<u8, Group>),
-        windows_left_out: &BTreeMap<Gesture, u64>,
-        work: &Histogram<u64>,
-    ) -> Evaluation {
+    pub(crate) fn of(tally: &Tally) -> Evaluation {
+        let Tally { classes, confusion, loss_sum, people, repetitions, work, windows_left_out } = tally;
         let name = |class: usize| classes[class].name().to_owned();
         let windows = confusion.windows();
-        let average = |averages: Averages| ClassReport {
-            precision: averages.precision,
-            recall: averages.recall,
-            f1: averages.f1,
-            support: windows,
-        };
-        let per_class = |class: usize| {
-            let scores = confusion.scores(class);
-            let report = ClassReport {
-                precision: scores.precision,
-                recall: scores.recall,
-                f1: scores.f1,
-                support: scores.support,
-            };
-            (name(class), report)
-        };
         let all = 0..classes.len();
         Evaluation {
             classes: all.clone().map(name).collect(),
@@ -159,9 +123,9 @@ impl Evaluation {
                 .collect(),
             loss: if windows == 0 { 0.0 } else { loss_sum / windows as f64 },
             accuracy: confusion.accuracy(),
-            per_class: all.clone().map(per_class).collect(),
-            macro_average: average(confusion.macro_average()),
-            weighted_average: average(confusion.weighted_average()),
+            per_class: all.clone().map(|class| (name(class), confusion.scores(class))).collect(),
+            macro_average: confusion.macro_average(),
+            weighted_average: confusion.weighted_average(),
             confusion: all
                 .clone()
                 .map(|truth| all.clone().map(|predicted| confusion.count(truth, predicted)).collect())
@@ -194,7 +158,7 @@ impl Display for Evaluation {
         writeln!(out, "\n{:<18}{:>10}{:>10}{:>10}{:>10}", "class", "precision", "recall", "F1", "windows")?;
         let averages = [("macro average", &self.macro_average), ("weighted average", &self.weighted_average)];
         let classes = self.classes.iter().map(|class| (class.as_str(), &self.per_class[class]));
-        for (name, ClassReport { precision, recall, f1, support }) in classes.chain(averages) {
+        for (name, ClassScores { precision, recall, f1, support }) in classes.chain(averages) {
             writeln!(out, "{name:<18}{precision:>10.4}{recall:>10.4}{f1:>10.4}{support:>10}")?;
         }
         write!(out, "\n{:<18}", "true \\ predicted")?;

@@ -13,7 +13,7 @@ mod evaluation;
 mod figure;
 mod tally;
 
-pub use confusion::{Averages, ClassScores, Confusion};
-pub use evaluation::{ClassReport, ConfusedPair, Evaluation, Group, Spread};
+pub use confusion::{ClassScores, Confusion};
+pub use evaluation::{ConfusedPair, Evaluation, Group, Spread};
 pub use figure::{FigureError, confusion_figure, latency_figure};
 pub use tally::{Answer, Origin, Tally};

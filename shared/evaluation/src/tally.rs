@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use hdrhistogram::Histogram;
 use tendon_gesture::Gesture;
+use tendon_latency::duration_histogram;
 
 use crate::confusion::Confusion;
 use crate::evaluation::{Evaluation, Group};
@@ -29,20 +30,15 @@ pub struct Answer<'a> {
 /// Answers gathered so far.
 #[derive(Clone, Debug)]
 pub struct Tally {
-    classes: Vec<Gesture>,
-    confusion: Confusion,
+    pub(crate) classes: Vec<Gesture>,
+    pub(crate) confusion: Confusion,
     /// Sum of −ln p of the true class.
-    loss_sum: f64,
-    people: BTreeMap<u16, Group>,
-    repetitions: BTreeMap<u8, Group>,
-    work: Histogram<u64>,
-    windows_left_out: BTreeMap<Gesture, u64>,
+    pub(crate) loss_sum: f64,
+    pub(crate) people: BTreeMap<u16, Group>,
+    pub(crate) repetitions: BTreeMap<u8, Group>,
+    pub(crate) work: Histogram<u64>,
+    pub(crate) windows_left_out: BTreeMap<Gesture, u64>,
 }
-
-/// Longest time a histogram keeps, ns: one minute.
-const LONGEST_NS: u64 = 60_000_000_000;
-/// Resolution of a histogram.
-const SIGNIFICANT_DIGITS: u8 = 3;
 
 impl Tally {
     /// No answers yet, of a classifier that knows these classes, in the order of its outputs.
@@ -53,8 +49,7 @@ impl Tally {
             loss_sum: 0.0,
             people: BTreeMap::new(),
             repetitions: BTreeMap::new(),
-            work: Histogram::new_with_bounds(1, LONGEST_NS, SIGNIFICANT_DIGITS)
-                .expect("the bounds are constants that hdrhistogram accepts: tested"),
+            work: duration_histogram(),
             windows_left_out: BTreeMap::new(),
         }
     }
@@ -105,13 +100,6 @@ impl Tally {
 
     /// The scores so far.
     pub fn evaluate(&self) -> Evaluation {
-        Evaluation::new(
-            &self.classes,
-            &self.confusion,
-            self.loss_sum,
-            (&self.people, &self.repetitions),
-            &self.windows_left_out,
-            &self.work,
-        )
+        Evaluation::of(self)
     }
 }

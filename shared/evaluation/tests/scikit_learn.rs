@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
 use serde_json::Value;
-use tendon_evaluation::{Answer, ClassReport, Evaluation, Origin, Tally};
+use tendon_evaluation::{Answer, ClassScores, Evaluation, Origin, Tally};
 use tendon_gesture::Gesture;
 
 fn cases() -> Vec<Value> {
@@ -27,7 +27,7 @@ fn evaluate(case: &Value) -> Evaluation {
     tally.evaluate()
 }
 
-fn triple(report: &ClassReport) -> Vec<f64> {
+fn triple(report: &ClassScores) -> Vec<f64> {
     vec![report.precision, report.recall, report.f1]
 }
 

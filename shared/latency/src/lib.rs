@@ -12,7 +12,7 @@
 mod measurements;
 mod report;
 
-pub use measurements::{Counts, SessionMeasurements, Summary};
+pub use measurements::{Counts, SessionMeasurements, Summary, duration_histogram};
 pub use report::{
     GestureRecognition, Hop, LatencySummary, MessageCounts, Recognition, Report, WindowStartSummary, Work,
 };

@@ -55,7 +55,7 @@ pub struct Summary {
 
 impl Summary {
     fn new() -> Summary {
-        Summary { histogram: new_histogram(), mean_ns: 0.0, squares: 0.0 }
+        Summary { histogram: duration_histogram(), mean_ns: 0.0, squares: 0.0 }
     }
 
     /// Welford's running mean and sum of squared deviations (Knuth, The Art of Computer Programming 2, 4.2.2).
@@ -104,7 +104,8 @@ pub struct SessionMeasurements {
     pub recognised: [[u64; Gesture::COUNT]; Gesture::COUNT],
 }
 
-fn new_histogram() -> Histogram<u64> {
+/// An empty histogram of durations: 1 ns to one minute, in three significant digits.
+pub fn duration_histogram() -> Histogram<u64> {
     Histogram::new_with_bounds(1, LONGEST_NS, SIGNIFICANT_DIGITS)
         .expect("the bounds are constants that hdrhistogram accepts: tested")
 }
@@ -112,8 +113,8 @@ fn new_histogram() -> Histogram<u64> {
 impl Default for SessionMeasurements {
     fn default() -> Self {
         let stage = || StageMeasurements {
-            transit: new_histogram(),
-            work: new_histogram(),
+            transit: duration_histogram(),
+            work: duration_histogram(),
             process_id: 0,
             before_restart: Counts::default(),
             newest: MeasurementHeader::default(),
@@ -123,7 +124,7 @@ impl Default for SessionMeasurements {
         SessionMeasurements {
             is_ending: false,
             stages: std::array::from_fn(|_| stage()),
-            newest_sample_to_command: new_histogram(),
+            newest_sample_to_command: duration_histogram(),
             window_start_to_command: Summary::new(),
             recognised: Default::default(),
         }
