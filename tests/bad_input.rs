@@ -54,7 +54,7 @@ fn a_model_for_another_session() {
     ] {
         assert_refused(
             &["--set", setting],
-            &["cnn-five-gesture.onnx", "does not fit this session", what, "take another model with --model"],
+            &["cnn-five-gesture.onnx", "does not fit", what, "take another model with --model"],
         );
     }
 }

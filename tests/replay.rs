@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use tendon_classifier::{Classifier, runtime_library};
+use tendon_classifier::{Recogniser, runtime_library};
 use tendon_config::{Config, Pace, Source};
 use tendon_gesture::Gesture;
 use tendon_latency::Report;
@@ -120,7 +120,8 @@ fn offline(path: &Path) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
     let fetched = repository().join(".cache/onnxruntime/libonnxruntime.so");
     let library =
         if std::env::var_os("ORT_DYLIB_PATH").is_some() { runtime_library(None).unwrap() } else { fetched };
-    let mut classifier = Classifier::load(&library, &model("cnn-five-gesture")).unwrap();
+    let five = model("cnn-five-gesture");
+    let mut recogniser = Recogniser::load(&library, config.decision.strategy, Some(&five), None).unwrap();
     let mut block = vec![0.0; config.block_length()];
     let mut window = vec![0.0; config.window_length()];
     let mut windows = HashMap::new();
@@ -131,7 +132,7 @@ fn offline(path: &Path) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
             from += push.consumed;
             if let Some(complete) = push.window {
                 chain.write_window(&mut window);
-                let probabilities = *classifier.classify(&window).unwrap();
+                let probabilities = *recogniser.recognise(&window).unwrap();
                 windows.insert(complete.first_sample, (window.clone(), probabilities));
             }
         }

@@ -8,7 +8,7 @@ use anyhow::Context;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 use tendon_arm::{STEP_NS, SimulatedArm, Twist};
-use tendon_classifier::Classifier;
+use tendon_classifier::Recogniser;
 use tendon_config::Config;
 use tendon_gesture::{Decider, Evidence, Gesture};
 use tendon_latency::{LatencySummary, duration_histogram};
@@ -141,14 +141,13 @@ fn signal(channels: usize) -> anyhow::Result<[Work; 3]> {
 fn inference() -> anyhow::Result<Work> {
     let config = Config::default();
     let library = tendon_classifier::runtime_library(None)?;
-    let model = tendon_classifier::model_beside_program(config.default_model_file())?;
-    let mut classifier = Classifier::load(&library, &model)?;
+    let mut recogniser = Recogniser::load(&library, config.decision.strategy, None, None)?;
     let (mut emg, mut performance) = simulated(config.acquisition.channels)?;
     let mut window = vec![0.0; config.window_length()];
     let mut stopwatch = Stopwatch::new();
     for _ in 0..REPETITIONS / 10 {
         emg.fill_block(&mut performance, &mut window);
-        stopwatch.time(|| classifier.classify(black_box(&window)).copied())?;
+        stopwatch.time(|| recogniser.recognise(black_box(&window)).copied())?;
     }
     Ok(stopwatch.work(Stage::Inference, "classify a window", Some(config.acquisition.channels)))
 }

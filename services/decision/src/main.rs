@@ -30,7 +30,7 @@ fn main() -> ExitCode {
         };
         let predictions = Subscriber::open(&process.session, &PREDICTIONS, Some(Stage::Decision), delivery)?;
         process.connect(&predictions)?;
-        process.ready(&format!("strategy {:?}", process.config.decision.strategy).to_lowercase())?;
+        process.ready(&format!("strategy {}", process.config.decision.strategy.name()))?;
         Ok(move |process: &mut StageProcess| process.consume(predictions, decision))
     })
 }

@@ -1,5 +1,5 @@
 //! The inference process: windows in, class probabilities out. The model itself is
-//! `tendon_classifier::Classifier`, which reads the window where it lies in shared memory.
+//! `tendon_classifier::Recogniser`, which reads the window where it lies in shared memory.
 //!
 //! ```text
 //!   window ─▶ classify ─▶ prediction        ···        rehearse ─▶ window ─▶ classify ─▶ prediction
@@ -12,9 +12,9 @@
 
 use std::process::ExitCode;
 
-use anyhow::{bail, ensure};
-use tendon_classifier::Classifier;
-use tendon_gesture::{Gesture, Strategy};
+use anyhow::ensure;
+use tendon_classifier::{Recogniser, WindowSource};
+use tendon_gesture::Gesture;
 use tendon_messages::{Measurement, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
 use tendon_process::{Consumer, Policy, StageProcess};
 use tendon_signal::WindowInput;
@@ -30,32 +30,26 @@ fn main() -> ExitCode {
     tendon_process::main(Stage::Inference, |process| {
         let config = &process.config;
         let library = tendon_classifier::runtime_library(config.inference.runtime_library.as_deref())?;
-        let model = match &config.inference.model {
-            Some(model) => model.clone(),
-            None => tendon_classifier::model_beside_program(config.default_model_file())?,
-        };
-        let mut classifier = Classifier::load(&library, &model)?;
-        let mismatches = classifier.contract().mismatches(
-            config.acquisition.channels,
-            config.acquisition.sample_rate_hz,
-            config.dsp.windows.window_samples,
-            &config.dsp.filter,
-            WindowInput::Raw,
-            config.decision.strategy == Strategy::Direct,
-        );
-        if !mismatches.is_empty() {
-            let differences: Vec<String> = mismatches.iter().map(ToString::to_string).collect();
-            bail!(
-                "{}: does not fit this session: {}; take another model with --model, or change the configuration",
-                model.display(),
-                differences.join("; ")
-            );
-        }
+        let mut recogniser = Recogniser::load(
+            &library,
+            config.decision.strategy,
+            config.inference.model.as_deref(),
+            config.inference.rest_move_model.as_deref(),
+        )?;
+        recogniser.check_fit(&WindowSource {
+            name: "the session",
+            channels: config.acquisition.channels,
+            sample_rate_hz: config.acquisition.sample_rate_hz,
+            window_samples: config.dsp.windows.window_samples,
+            sequence_windows: 1,
+            filter: Some(&config.dsp.filter),
+            input: WindowInput::Raw,
+        })?;
         let silence = vec![0.0; config.window_length()];
         let mut shortest_run_ns = u64::MAX;
         for _ in 0..WARM_UP_RUNS {
             let start_ns = now_ns();
-            classifier.classify(&silence)?;
+            recogniser.rehearse(&silence)?;
             shortest_run_ns = shortest_run_ns.min(now_ns() - start_ns);
         }
         let delivery = config.delivery();
@@ -76,15 +70,16 @@ fn main() -> ExitCode {
                 shortest_run_ns,
             }
         });
-        let inference = Inference { classifier, predictions, rehearsal };
+        let models: Vec<String> = recogniser.models().iter().map(|path| path.display().to_string()).collect();
+        let inference = Inference { recogniser, predictions, rehearsal };
         process.connect(&windows)?;
-        process.ready(&model.display().to_string())?;
+        process.ready(&models.join(", "))?;
         Ok(move |process: &mut StageProcess| process.consume(windows, inference))
     })
 }
 
 struct Inference {
-    classifier: Classifier,
+    recogniser: Recogniser,
     predictions: Publisher<PredictionHeader, f32>,
     /// Only under SCHED_FIFO.
     rehearsal: Option<Rehearsal>,
@@ -123,7 +118,7 @@ impl Consumer<WindowHeader, f32> for Inference {
         if let Some(rehearsal) = &mut self.rehearsal {
             rehearsal.next_window_ns = Some(trace.captured_ns + rehearsal.increment_ns);
         }
-        let probabilities = self.classifier.classify(window.payload())?;
+        let probabilities = self.recogniser.recognise(window.payload())?;
         let prediction = PredictionHeader { trace, context: header.context };
         let published_ns = self
             .predictions
@@ -145,7 +140,7 @@ impl Consumer<WindowHeader, f32> for Inference {
         let Some(next_window_ns) = rehearsal.next_window_ns.take() else { return Ok(()) };
         let mut start_ns = now_ns();
         while start_ns + rehearsal.shortest_run_ns < next_window_ns {
-            self.classifier.classify(&rehearsal.silence)?;
+            self.recogniser.rehearse(&rehearsal.silence)?;
             let end_ns = now_ns();
             rehearsal.shortest_run_ns = rehearsal.shortest_run_ns.min(end_ns - start_ns);
             start_ns = end_ns;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use clap::Args;
-use tendon_classifier::Classifier;
+use tendon_classifier::{Classifier, DEFAULT_REST_MOVE_MODEL_FILE};
 use tendon_config::{Config, Realtime, SchedulingSettings};
 use tendon_messages::Stage;
 use tendon_process::Policy;
@@ -91,7 +91,7 @@ fn runtime_and_models(findings: &mut Findings) {
         Ok(library) => library,
         Err(error) => return findings.add(Weight::Broken, "runtime library", &error.to_string()),
     };
-    for file in ["cnn-five-gesture.onnx", "cnn-six-class.onnx"] {
+    for file in ["cnn-five-gesture.onnx", "cnn-six-class.onnx", DEFAULT_REST_MOVE_MODEL_FILE] {
         let loaded = tendon_classifier::model_beside_program(file)
             .and_then(|model| Classifier::load(&library, &model).map(|_| model));
         match loaded {

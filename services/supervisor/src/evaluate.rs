@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use serde::Serialize;
-use tendon_classifier::Classifier;
+use tendon_classifier::{Classifier, WindowSource};
 use tendon_evaluation::{Answer, Evaluation, Origin, Tally, confusion_figure, latency_figure};
 use tendon_recordings::StoredDataset;
 
@@ -23,7 +23,7 @@ pub struct Options {
     /// The ONNX model.
     #[arg(long, value_name = "FILE")]
     model: PathBuf,
-    /// Only these people, by number; all when left out. Only people whom the model was not trained on tell how
+    /// Only these people, by number; when left out, all whom the model was not trained on: nobody else can tell how
     /// well it does for somebody new.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<u16>,
@@ -63,8 +63,21 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
         tendon_classifier::runtime_library(options.runtime_library.as_deref()).map_err(Failure::input)?;
     let mut dataset = StoredDataset::open(&options.dataset).map_err(Failure::input)?;
     let mut classifier = Classifier::load(&library, &options.model).map_err(Failure::input)?;
-    let people = chosen_people(&dataset, &options.people).map_err(Failure::input)?;
-    check_fit(&classifier, &dataset, options).map_err(Failure::input)?;
+    let contract = classifier.contract().clone();
+    let known: Vec<u16> = dataset.manifest().windows_per_person.keys().copied().collect();
+    let people = chosen_people(&known, &options.people, &contract.people_trained).map_err(Failure::input)?;
+    let settings = &dataset.manifest().settings;
+    let source = WindowSource {
+        name: "the data set",
+        channels: settings.channels.len(),
+        sample_rate_hz: settings.sample_rate_hz,
+        window_samples: settings.windows.window_samples,
+        // Successive windows of a recording lie one after the other in the array.
+        sequence_windows: usize::MAX,
+        filter: settings.filter.as_ref(),
+        input: settings.input,
+    };
+    classifier.check_fit(&source).map_err(Failure::input)?;
 
     let start = Instant::now();
     let tally = classify_all(&mut classifier, &mut dataset, &people).map_err(Failure::running)?;
@@ -80,8 +93,13 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let increment_s = settings.windows.increment_samples as f64 / settings.sample_rate_hz;
     let x_real_time = evaluation.windows as f64 * increment_s / duration_s;
     println!("{} on {}, {} people", options.model.display(), options.dataset.display(), people.len());
-    if let Some(provenance) = &classifier.contract().provenance {
+    if let Some(provenance) = &contract.provenance {
         println!("the model: {provenance}");
+    }
+    let left_out: Vec<String> =
+        known.iter().filter(|person| !people.contains(person)).map(ToString::to_string).collect();
+    if options.people.is_empty() && !left_out.is_empty() {
+        println!("left out, because the model was trained on them: people {}", left_out.join(", "));
     }
     println!("\n{evaluation}");
     println!("{duration_s:.1} s in all, {x_real_time:.0} times faster than real time");
@@ -103,42 +121,28 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     Ok(())
 }
 
-fn chosen_people(dataset: &StoredDataset, wanted: &[u16]) -> anyhow::Result<BTreeSet<u16>> {
-    let known: BTreeSet<u16> = dataset.manifest().windows_per_person.keys().copied().collect();
-    if wanted.is_empty() {
-        return Ok(known);
-    }
+/// The people to score among the `known` ones.
+fn chosen_people(known: &[u16], wanted: &[u16], trained: &[u16]) -> anyhow::Result<BTreeSet<u16>> {
+    let list = |people: &[u16]| people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     for person in wanted {
+        ensure!(known.contains(person), "--people {person}: the data set has only {}", list(known));
         ensure!(
-            known.contains(person),
-            "--people {person}: the data set has only {}",
-            known.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+            !trained.contains(person),
+            "--people {person}: the model was trained on {}, so a score on any of them says nothing about somebody \
+             new; name others or leave --people out",
+            list(trained)
         );
     }
-    Ok(wanted.iter().copied().collect())
-}
-
-fn check_fit(classifier: &Classifier, dataset: &StoredDataset, options: &Options) -> anyhow::Result<()> {
-    let settings = &dataset.manifest().settings;
-    let contract = classifier.contract();
-    let mismatches = contract.mismatches(
-        settings.channels.len(),
-        settings.sample_rate_hz,
-        settings.windows.window_samples,
-        // Of recordings that were filtered before nobody knows how; the user said that it fits.
-        settings.filter.as_ref().unwrap_or(&contract.filter),
-        settings.input,
-        false,
-    );
-    let differences: Vec<String> = mismatches.iter().map(ToString::to_string).collect();
+    let candidates = if wanted.is_empty() { known } else { wanted };
+    let people: BTreeSet<u16> =
+        candidates.iter().copied().filter(|person| !trained.contains(person)).collect();
     ensure!(
-        mismatches.is_empty(),
-        "{}: does not fit the data set {}: {}; build one that fits with `tendon dataset build`",
-        options.model.display(),
-        options.dataset.display(),
-        differences.join("; ").replace("the session", "the data set")
+        !people.is_empty(),
+        "the model was trained on everybody in the data set ({}): build one with others, or hold people out of the \
+         training (tendon dataset build --test-people)",
+        list(known)
     );
-    Ok(())
+    Ok(people)
 }
 
 fn classify_all(

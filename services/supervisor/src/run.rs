@@ -89,9 +89,12 @@ pub struct Options {
     /// How rest and movement are told apart.
     #[arg(long, value_enum)]
     strategy: Option<StrategyOption>,
-    /// The ONNX model.
+    /// The ONNX model of the gestures.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    /// The ONNX model of rest and move, with --strategy two_stage.
+    #[arg(long, value_name = "FILE")]
+    rest_move_model: Option<PathBuf>,
     /// Real-time scheduling: where the rights allow it, or else fail, or never.
     #[arg(long, value_enum)]
     realtime: Option<RealtimeOption>,
@@ -106,6 +109,8 @@ enum PaceOption {
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum StrategyOption {
     Threshold,
+    #[value(name = "two_stage", alias = "two-stage")]
+    TwoStage,
     Direct,
 }
 
@@ -168,11 +173,15 @@ impl Options {
         if let Some(strategy) = self.strategy {
             config.decision.strategy = match strategy {
                 StrategyOption::Threshold => Strategy::Threshold,
+                StrategyOption::TwoStage => Strategy::TwoStage,
                 StrategyOption::Direct => Strategy::Direct,
             };
         }
         if let Some(model) = &self.model {
             config.inference.model = Some(model.clone());
+        }
+        if let Some(model) = &self.rest_move_model {
+            config.inference.rest_move_model = Some(model.clone());
         }
         if let Some(realtime) = self.realtime {
             config.scheduling.realtime = match realtime {
@@ -185,6 +194,7 @@ impl Options {
             &mut config.acquisition.simulate.profile,
             &mut config.acquisition.replay.path,
             &mut config.inference.model,
+            &mut config.inference.rest_move_model,
             &mut config.inference.runtime_library,
         ]
         .into_iter()
@@ -526,10 +536,7 @@ impl Watch<'_> {
             },
             robot: "simulate".to_owned(),
             model: detail(Stage::Inference),
-            strategy: match decision.strategy {
-                Strategy::Threshold => "threshold".to_owned(),
-                Strategy::Direct => "direct".to_owned(),
-            },
+            strategy: decision.strategy.name().to_owned(),
             scheduling: started.ready.iter().map(scheduling).collect(),
             replay_x_real_time,
             cpu_s,

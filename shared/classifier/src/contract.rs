@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use tendon_gesture::Gesture;
+use tendon_gesture::Class;
 use tendon_signal::{FilterSettings, WindowInput};
 
 /// Version of the metadata's layout that this program reads.
@@ -17,30 +17,58 @@ pub struct Contract {
     pub sample_rate_hz: f64,
     /// Samples of each channel in a window.
     pub window_samples: usize,
+    /// Successive windows that are classified together: 1, but for a model of sequences.
+    pub sequence_windows: usize,
     /// Filter before the window.
     pub filter: FilterSettings,
     /// What the window holds; without a word on it, the filtered signal.
     pub input: WindowInput,
     /// Classes in the order of the outputs.
-    pub classes: Vec<Gesture>,
-    /// Data, people and recipe, in words, if the model says so.
+    pub classes: Vec<Class>,
+    /// Numbers of the people whose windows it was trained on, if the model says so.
+    pub people_trained: Vec<u16>,
+    /// Share of the validation windows that it recognised, if the model says so.
+    pub validation_accuracy: Option<f64>,
+    /// People, counts and recipe, in words, if the model says so.
     pub provenance: Option<String>,
 }
 
-/// Something in which a model and a session differ.
-#[derive(Clone, Debug, PartialEq)]
+/// What delivers windows to a model: a session, or a data set.
+#[derive(Clone, Copy, Debug)]
+pub struct WindowSource<'a> {
+    /// What it is, for messages: `the session`.
+    pub name: &'static str,
+    /// Number of channels.
+    pub channels: usize,
+    /// Sampling rate, Hz.
+    pub sample_rate_hz: f64,
+    /// Samples of each channel in a window.
+    pub window_samples: usize,
+    /// Most successive windows that it hands over together.
+    pub sequence_windows: usize,
+    /// Filter before the window; `None` where the recordings were filtered before, nobody knows how.
+    pub filter: Option<&'a FilterSettings>,
+    /// What a window holds.
+    pub input: WindowInput,
+}
+
+/// Something in which a model and what delivers its windows differ.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mismatch {
     /// What differs.
     pub what: &'static str,
     /// The model's value.
     pub model: String,
-    /// The session's value.
-    pub session: String,
+    /// Who has another value: [`WindowSource::name`].
+    pub source: &'static str,
+    /// That value.
+    pub has: String,
 }
 
 impl fmt::Display for Mismatch {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}: the model wants {}, the session has {}", self.what, self.model, self.session)
+        let Mismatch { what, model, source, has } = self;
+        write!(formatter, "{what}: the model wants {model}, {source} has {has}")
     }
 }
 
@@ -62,21 +90,24 @@ impl Contract {
                 "the metadata are of contract version {version}, this program reads {CONTRACT_VERSION}"
             ));
         }
-        let count = |key: &str| {
-            let value = get(key)?;
+        let count = |key: &str, value: String| {
             value.parse().ok().filter(|count: &usize| *count > 0).ok_or_else(|| wrong(key, &value))
         };
-        let rate = get("tendon.sample_rate_hz")?;
+        let number = |key: &str, value: String, is_valid: fn(f64) -> bool| {
+            value.parse().ok().filter(|number| is_valid(*number)).ok_or_else(|| wrong(key, &value))
+        };
         let filter = get("tendon.filter")?;
         let classes = get("tendon.classes")?;
+        let people = lookup("tendon.people_trained").unwrap_or_default();
+        let accuracy = "tendon.validation_accuracy";
         Ok(Contract {
-            channels: count("tendon.channels")?,
-            sample_rate_hz: rate
-                .parse()
-                .ok()
-                .filter(|rate: &f64| rate.is_finite() && *rate > 0.0)
-                .ok_or_else(|| wrong("tendon.sample_rate_hz", &rate))?,
-            window_samples: count("tendon.window_samples")?,
+            channels: count("tendon.channels", get("tendon.channels")?)?,
+            sample_rate_hz: number("tendon.sample_rate_hz", get("tendon.sample_rate_hz")?, |rate| {
+                rate.is_finite() && rate > 0.0
+            })?,
+            window_samples: count("tendon.window_samples", get("tendon.window_samples")?)?,
+            sequence_windows: lookup("tendon.sequence_windows")
+                .map_or(Ok(1), |value| count("tendon.sequence_windows", value))?,
             filter: serde_json::from_str(&filter).map_err(|_| wrong("tendon.filter", &filter))?,
             input: match lookup("tendon.input").as_deref() {
                 None | Some("raw") => WindowInput::Raw,
@@ -86,54 +117,56 @@ impl Contract {
             classes: classes
                 .split(',')
                 .map(|name| name.trim().parse())
-                .collect::<Result<Vec<Gesture>, _>>()
+                .collect::<Result<Vec<Class>, _>>()
                 .map_err(|_| wrong("tendon.classes", &classes))?,
+            people_trained: people
+                .split_whitespace()
+                .map(str::parse)
+                .collect::<Result<Vec<u16>, _>>()
+                .map_err(|_| wrong("tendon.people_trained", &people))?,
+            validation_accuracy: lookup(accuracy)
+                .map(|value| number(accuracy, value, |share| (0.0..=1.0).contains(&share)))
+                .transpose()?,
             provenance: lookup("tendon.provenance"),
         })
     }
 
-    /// Everything in which the session differs from what the model was trained for.
-    pub fn mismatches(
-        &self,
-        channels: usize,
-        sample_rate_hz: f64,
-        window_samples: usize,
-        filter: &FilterSettings,
-        input: WindowInput,
-        needs_rest: bool,
-    ) -> Vec<Mismatch> {
+    /// Everything in which `source` differs from what the model was trained for.
+    pub fn mismatches(&self, source: &WindowSource<'_>) -> Vec<Mismatch> {
         let mut mismatches = Vec::new();
-        let mut compare = |what, same: bool, model: String, session: String| {
+        let mut compare = |what, same: bool, model: String, has: String| {
             if !same {
-                mismatches.push(Mismatch { what, model, session });
+                mismatches.push(Mismatch { what, model, source: source.name, has });
             }
         };
-        compare("channels", self.channels == channels, self.channels.to_string(), channels.to_string());
+        let channels = (self.channels, source.channels);
+        compare("channels", channels.0 == channels.1, channels.0.to_string(), channels.1.to_string());
         compare(
             "sampling rate",
-            self.sample_rate_hz == sample_rate_hz,
+            self.sample_rate_hz == source.sample_rate_hz,
             format!("{} Hz", self.sample_rate_hz),
-            format!("{sample_rate_hz} Hz"),
+            format!("{} Hz", source.sample_rate_hz),
         );
         compare(
             "window",
-            self.window_samples == window_samples,
+            self.window_samples == source.window_samples,
             format!("{} samples", self.window_samples),
-            format!("{window_samples} samples"),
+            format!("{} samples", source.window_samples),
         );
-        compare("filter", self.filter == *filter, format!("{:?}", self.filter), format!("{filter:?}"));
-        let names: Vec<&str> = self.classes.iter().map(|gesture| gesture.name()).collect();
+        compare(
+            "sequence",
+            self.sequence_windows <= source.sequence_windows,
+            format!("{} windows together", self.sequence_windows),
+            format!("{} at a time", source.sequence_windows),
+        );
+        if let Some(filter) = source.filter {
+            compare("filter", self.filter == *filter, format!("{:?}", self.filter), format!("{filter:?}"));
+        }
         let said = |input| match input {
             WindowInput::Raw => "the filtered signal".to_owned(),
             WindowInput::Envelope => "its envelope".to_owned(),
         };
-        compare("input", self.input == input, said(self.input), said(input));
-        compare(
-            "classes",
-            !needs_rest || self.classes.contains(&Gesture::Rest),
-            names.join(", "),
-            "decision.strategy = \"direct\", which needs a model that knows rest".to_owned(),
-        );
+        compare("input", self.input == source.input, said(self.input), said(source.input));
         mismatches
     }
 }
@@ -141,6 +174,7 @@ impl Contract {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tendon_gesture::Gesture;
 
     fn metadata(key: &str) -> Option<String> {
         let value = match key {
@@ -160,14 +194,51 @@ mod tests {
     #[test]
     fn a_contract_is_read_and_compared_by_name_of_what_differs() {
         let contract = Contract::read(metadata).unwrap();
-        assert_eq!(contract.classes, Gesture::ACTIVE);
+        assert_eq!(contract.classes, Gesture::ACTIVE.map(Class::Gesture));
+        assert_eq!((contract.sequence_windows, contract.people_trained.len()), (1, 0));
         let filter = FilterSettings::default();
-        assert_eq!(contract.mismatches(4, 2000.0, 600, &filter, WindowInput::Raw, false), []);
-        let mismatches = contract.mismatches(10, 1000.0, 300, &filter, WindowInput::Envelope, true);
-        let text: Vec<String> = mismatches.iter().map(ToString::to_string).collect();
-        assert_eq!(text.len(), 5);
+        let fitting = WindowSource {
+            name: "the session",
+            channels: 4,
+            sample_rate_hz: 2000.0,
+            window_samples: 600,
+            sequence_windows: 1,
+            filter: Some(&filter),
+            input: WindowInput::Raw,
+        };
+        assert_eq!(contract.mismatches(&fitting), []);
+        assert_eq!(contract.mismatches(&WindowSource { filter: None, ..fitting }), []);
+        let other_filter = FilterSettings { notch_quality: 20.0, ..filter.clone() };
+        let different = WindowSource {
+            channels: 10,
+            sample_rate_hz: 1000.0,
+            window_samples: 300,
+            filter: Some(&other_filter),
+            input: WindowInput::Envelope,
+            ..fitting
+        };
+        let of_sequences = Contract { sequence_windows: 5, ..contract };
+        let text: Vec<String> = of_sequences.mismatches(&different).iter().map(ToString::to_string).collect();
+        assert_eq!(text.len(), 6);
         assert_eq!(text[0], "channels: the model wants 4, the session has 10");
         assert_eq!(text[1], "sampling rate: the model wants 2000 Hz, the session has 1000 Hz");
+        assert_eq!(text[3], "sequence: the model wants 5 windows together, the session has 1 at a time");
+    }
+
+    #[test]
+    fn what_a_model_may_say_besides_is_read() {
+        let contract = Contract::read(|key| match key {
+            "tendon.sequence_windows" => Some("5".to_owned()),
+            "tendon.classes" => Some("rest,move".to_owned()),
+            "tendon.people_trained" => Some("1 3 14".to_owned()),
+            "tendon.validation_accuracy" => Some("0.9123".to_owned()),
+            _ => metadata(key),
+        })
+        .unwrap();
+        assert_eq!(contract.sequence_windows, 5);
+        assert_eq!(contract.classes, Class::REST_MOVE);
+        assert_eq!(contract.people_trained, [1, 3, 14]);
+        assert_eq!(contract.validation_accuracy, Some(0.9123));
     }
 
     #[test]
@@ -180,6 +251,9 @@ mod tests {
             ("tendon.input", Some("spectrum"), "`tendon.input` is `spectrum`"),
             ("tendon.classes", Some("fist"), "`tendon.classes` is `fist`"),
             ("tendon.contract_version", Some("2"), "contract version 2"),
+            ("tendon.sequence_windows", Some("0"), "`tendon.sequence_windows` is `0`"),
+            ("tendon.people_trained", Some("1 and 3"), "`tendon.people_trained` is `1 and 3`"),
+            ("tendon.validation_accuracy", Some("NaN"), "`tendon.validation_accuracy` is `NaN`"),
         ] {
             let changed = |asked: &str| {
                 if asked == key { value.map(str::to_owned) } else { metadata(asked) }

@@ -1,7 +1,7 @@
 //! A trained model in ONNX Runtime, and the contract it carries.
 //!
 //! ```text
-//! model.onnx ─┬─ graph:    window [1, channels, samples] ─▶ z-score ─▶ CNN ─▶ softmax ─▶ [1, classes]
+//! model.onnx ─┬─ graph:    window [1, channels, samples] ─▶ z-score ─▶ network ─▶ softmax ─▶ [1, classes]
 //!             └─ metadata: channels, rate, window, filter, classes  =  Contract
 //! ```
 //!
@@ -9,6 +9,7 @@
 
 mod contract;
 mod locate;
+mod recogniser;
 mod run;
 
 use std::path::{Path, PathBuf};
@@ -18,10 +19,10 @@ use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::ValueType;
-use tendon_gesture::Gesture;
 
-pub use contract::{Contract, Mismatch};
+pub use contract::{Contract, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
+pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, Recogniser, default_model_file};
 
 use run::Runner;
 
@@ -67,6 +68,14 @@ pub enum ClassifierError {
         /// What is missing or wrong.
         problem: String,
     },
+    /// The model was trained for something else.
+    #[error("{}: does not fit: {differences}; take another model with --model, or change the settings", path.display())]
+    Unfit {
+        /// The model.
+        path: PathBuf,
+        /// Everything in which it differs, by name.
+        differences: String,
+    },
     /// A window could not be classified.
     #[error("the model failed on a window: {reason}")]
     Run {
@@ -78,9 +87,9 @@ pub enum ClassifierError {
 /// A loaded model, ready to classify windows one by one. Once warm, classifying allocates nothing on our side.
 #[derive(Debug)]
 pub struct Classifier {
+    path: PathBuf,
     contract: Contract,
     runner: Runner,
-    probabilities: [f32; Gesture::COUNT],
 }
 
 impl Classifier {
@@ -114,10 +123,14 @@ impl Classifier {
             Contract::read(|key| metadata.custom(key)).map_err(contract_error)?
         };
         let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
-        let shape = [1, contract.channels as i64, contract.window_samples as i64];
-        let runner = Runner::new(session, [&input, &output], shape, contract.classes.len())
+        let runner = Runner::new(session, [&input, &output], &input_shape(&contract), contract.classes.len())
             .map_err(|error| model_error(error.to_string()))?;
-        Ok(Classifier { contract, runner, probabilities: [0.0; Gesture::COUNT] })
+        Ok(Classifier { path: model.to_owned(), contract, runner })
+    }
+
+    /// The model's file.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// What the model was trained for.
@@ -125,19 +138,30 @@ impl Classifier {
         &self.contract
     }
 
-    /// Classifies one window, channel-major `[channels × samples]`, which is read in place. Returns the
-    /// probability of every gesture by class number, 0 for those that the model does not know.
+    /// Makes sure that the model was trained for what delivers its windows.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::Unfit`], with everything that differs.
+    pub fn check_fit(&self, source: &WindowSource<'_>) -> Result<(), ClassifierError> {
+        let differences: Vec<String> =
+            self.contract.mismatches(source).iter().map(ToString::to_string).collect();
+        if differences.is_empty() {
+            return Ok(());
+        }
+        Err(ClassifierError::Unfit { path: self.path.clone(), differences: differences.join("; ") })
+    }
+
+    /// Classifies one window, channel-major `[channels × samples]`, or one sequence `[windows × channels ×
+    /// samples]` if the model is of such, which is read in place. Returns the probability of every class of the
+    /// contract, in its order.
     ///
     /// # Errors
     ///
     /// [`ClassifierError::Run`] when the window has another length than the contract says, or ONNX Runtime
     /// fails.
-    pub fn classify(&mut self, window: &[f32]) -> Result<&[f32; Gesture::COUNT], ClassifierError> {
-        let outputs = self.runner.run(window).map_err(|reason| ClassifierError::Run { reason })?;
-        for (gesture, probability) in self.contract.classes.iter().zip(outputs) {
-            self.probabilities[gesture.index()] = *probability;
-        }
-        Ok(&self.probabilities)
+    pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
+        self.runner.run(window).map_err(|reason| ClassifierError::Run { reason })
     }
 }
 
@@ -172,7 +196,7 @@ fn names_of_tensors(session: &Session, contract: &Contract) -> Result<(String, S
         }
         _ => false,
     };
-    let window = [1, contract.channels as i64, contract.window_samples as i64];
+    let window = input_shape(contract);
     if !fits(input.dtype(), &window) {
         return Err(format!("the input is {:?}, not float32 {window:?} as the metadata say", input.dtype()));
     }
@@ -184,6 +208,13 @@ fn names_of_tensors(session: &Session, contract: &Contract) -> Result<(String, S
         ));
     }
     Ok((input.name().to_owned(), output.name().to_owned()))
+}
+
+/// Shape of the input tensor: `[1, channels, samples]`, or `[1, windows, channels, samples]` of a model of sequences.
+fn input_shape(contract: &Contract) -> Vec<i64> {
+    let Contract { channels, window_samples, sequence_windows, .. } = *contract;
+    let windows = (sequence_windows > 1).then_some(sequence_windows);
+    [1].into_iter().chain(windows).chain([channels, window_samples]).map(|size| size as i64).collect()
 }
 
 /// ONNX Runtime's messages come with line breaks; an error of ours is one sentence.

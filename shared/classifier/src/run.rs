@@ -17,8 +17,8 @@ use ort::sys;
 pub(crate) struct Runner {
     input_name: CString,
     output_name: CString,
-    shape: [i64; 3],
-    window_length: usize,
+    shape: Box<[i64]>,
+    input_length: usize,
     outputs: Box<[f32]>,
     /// Tensor over `outputs`.
     output_tensor: Tensor,
@@ -36,7 +36,7 @@ impl Runner {
     pub(crate) fn new(
         session: Session,
         [input_name, output_name]: [&str; 2],
-        shape: [i64; 3],
+        shape: &[i64],
         classes: usize,
     ) -> Result<Runner, String> {
         let memory = MemoryInfo::new(AllocationDevice::CPU, 0, AllocatorType::Device, MemoryType::Default)
@@ -49,8 +49,8 @@ impl Runner {
         Ok(Runner {
             input_name: name(input_name)?,
             output_name: name(output_name)?,
-            shape,
-            window_length: shape.iter().product::<i64>() as usize,
+            shape: shape.into(),
+            input_length: shape.iter().product::<i64>() as usize,
             outputs,
             output_tensor,
             memory,
@@ -58,16 +58,16 @@ impl Runner {
         })
     }
 
-    /// Runs the model on `window` where it lies; returns the outputs.
-    pub(crate) fn run(&mut self, window: &[f32]) -> Result<&[f32], String> {
-        if window.len() != self.window_length {
-            return Err(format!("a window of {} samples instead of {}", window.len(), self.window_length));
+    /// Runs the model on `input`, a window or a sequence of such, where it lies; returns the outputs.
+    pub(crate) fn run(&mut self, input: &[f32]) -> Result<&[f32], String> {
+        if input.len() != self.input_length {
+            return Err(format!("{} samples instead of {}", input.len(), self.input_length));
         }
         // SAFETY: ONNX Runtime only reads inputs; the tensor is dropped at the end of this function, before
-        // the borrow of `window` ends.
-        let input = unsafe { Tensor::over_input(&self.memory, window, &self.shape) }?;
+        // the borrow of `input` ends.
+        let tensor = unsafe { Tensor::over_input(&self.memory, input, &self.shape) }?;
         let input_names = [self.input_name.as_ptr()];
-        let inputs = [input.0.cast_const()];
+        let inputs = [tensor.0.cast_const()];
         let output_names = [self.output_name.as_ptr()];
         let mut outputs = [self.output_tensor.0];
         // SAFETY: the session and both tensors are alive; each array has as many elements as its count says;

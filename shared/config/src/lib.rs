@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, SimulationSettings};
-use tendon_gesture::{DecisionSettings, Strategy};
+use tendon_gesture::DecisionSettings;
 use tendon_recordings::{Channel, RecordingSettings};
 use tendon_signal::SignalSettings;
 use tendon_transport::{Delivery, SessionName};
@@ -205,8 +205,11 @@ impl Default for ReplaySettings {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InferenceSettings {
-    /// The ONNX model; when left out, the one that comes with Tendon for the decision's strategy.
+    /// The ONNX model of the gestures; when left out, the one that comes with Tendon for the decision's strategy.
     pub model: Option<PathBuf>,
+    /// The ONNX model of the two-stage strategy's first stage, rest or move; when left out, the one that comes with
+    /// Tendon.
+    pub rest_move_model: Option<PathBuf>,
     /// ONNX Runtime's shared library; when left out, `ORT_DYLIB_PATH`, then what
     /// `scripts/fetch-onnxruntime` put beside the programs.
     pub runtime_library: Option<PathBuf>,
@@ -326,6 +329,7 @@ impl Config {
             &mut config.acquisition.simulate.profile,
             &mut config.acquisition.replay.path,
             &mut config.inference.model,
+            &mut config.inference.rest_move_model,
             &mut config.inference.runtime_library,
         ] {
             if let Some(value) = setting.as_mut() {
@@ -467,14 +471,6 @@ impl Config {
     /// Samples of all channels in a window.
     pub fn window_length(&self) -> usize {
         self.acquisition.channels * self.dsp.windows.window_samples
-    }
-
-    /// File name of the model that comes with Tendon for the decision's strategy.
-    pub fn default_model_file(&self) -> &'static str {
-        match self.decision.strategy {
-            Strategy::Threshold => "cnn-five-gesture.onnx",
-            Strategy::Direct => "cnn-six-class.onnx",
-        }
     }
 }
 

@@ -77,34 +77,38 @@ impl Group {
     }
 }
 
-/// How much the accuracies of groups differ. Every group counts the same.
+/// How much values differ. Every value counts the same; all are 0 where there is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
-    /// Mean accuracy.
+    /// Mean.
     pub mean: f64,
-    /// Standard deviation (of the sample); 0 of less than two groups.
+    /// Standard deviation (of the sample); 0 of less than two.
     pub sd: f64,
-    /// Lowest accuracy.
+    /// Smallest.
     pub min: f64,
-    /// Highest accuracy.
+    /// Largest.
     pub max: f64,
 }
 
 impl Spread {
-    fn of<'a>(groups: impl Iterator<Item = &'a Group>) -> Spread {
-        let accuracies: Vec<f64> = groups.map(|group| group.accuracy).collect();
-        if accuracies.is_empty() {
+    /// The spread of `values`.
+    pub fn of(values: &[f64]) -> Spread {
+        if values.is_empty() {
             return Spread::default();
         }
-        let count = accuracies.len() as f64;
-        let mean = accuracies.iter().sum::<f64>() / count;
-        let squares: f64 = accuracies.iter().map(|accuracy| (accuracy - mean).powi(2)).sum();
+        let count = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / count;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
         Spread {
             mean,
-            sd: if accuracies.len() < 2 { 0.0 } else { (squares / (count - 1.0)).sqrt() },
-            min: accuracies.iter().copied().fold(f64::INFINITY, f64::min),
-            max: accuracies.iter().copied().fold(0.0, f64::max),
+            sd: if values.len() < 2 { 0.0 } else { (squares / (count - 1.0)).sqrt() },
+            min: values.iter().copied().fold(f64::INFINITY, f64::min),
+            max: values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
         }
+    }
+
+    fn of_groups<'a>(groups: impl Iterator<Item = &'a Group>) -> Spread {
+        Spread::of(&groups.map(|group| group.accuracy).collect::<Vec<f64>>())
     }
 }
 
@@ -140,9 +144,9 @@ impl Evaluation {
                 windows,
             }),
             per_person: people.clone(),
-            people: Spread::of(people.values()),
+            people: Spread::of_groups(people.values()),
             per_repetition: repetitions.clone(),
-            repetitions: Spread::of(repetitions.values()),
+            repetitions: Spread::of_groups(repetitions.values()),
             work: LatencySummary::of(work),
         }
     }

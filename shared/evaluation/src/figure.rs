@@ -15,7 +15,7 @@ use plotters::prelude::{
 };
 use plotters::style::register_font;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use tendon_gesture::Gesture;
+use tendon_gesture::Class;
 
 use crate::confusion::Confusion;
 
@@ -62,7 +62,7 @@ const DARK_PERCENT: f64 = 50.0;
 pub fn confusion_figure(
     path: &Path,
     title: &str,
-    classes: &[Gesture],
+    classes: &[Class],
     confusion: &Confusion,
 ) -> Result<(), FigureError> {
     let side = (2 * MARGIN + CELL * classes.len() as i32) as u32;
@@ -118,7 +118,7 @@ fn text(error: impl Debug) -> String {
 
 struct Matrix<'a> {
     title: &'a str,
-    classes: &'a [Gesture],
+    classes: &'a [Class],
     confusion: &'a Confusion,
 }
 
@@ -228,6 +228,7 @@ fn bars(latencies_ns: &Histogram<u64>) -> (Range<f64>, [u64; BARS]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tendon_gesture::Gesture;
 
     fn confusion() -> Confusion {
         let mut confusion = Confusion::new(Gesture::COUNT);
@@ -242,13 +243,13 @@ mod tests {
     fn a_confusion_matrix_is_drawn_with_its_counts_and_percentages() {
         let folder = tempfile::tempdir().unwrap();
         let svg = folder.path().join("confusion.svg");
-        confusion_figure(&svg, "six classes", &Gesture::ALL, &confusion()).unwrap();
+        confusion_figure(&svg, "six classes", &Gesture::ALL.map(Class::Gesture), &confusion()).unwrap();
         let content = std::fs::read_to_string(&svg).unwrap();
         for part in ["six classes", "ulnar", "radial", "92.9 %", "7.1 %", "predicted"] {
             assert!(content.contains(part), "`{part}` is not in the figure");
         }
         let png = folder.path().join("confusion.png");
-        confusion_figure(&png, "six classes", &Gesture::ALL, &confusion()).unwrap();
+        confusion_figure(&png, "six classes", &Gesture::ALL.map(Class::Gesture), &confusion()).unwrap();
         assert!(std::fs::read(&png).unwrap().starts_with(b"\x89PNG"));
     }
 
@@ -270,10 +271,17 @@ mod tests {
 
     #[test]
     fn another_ending_and_a_folder_that_is_not_there_are_refused_by_name() {
-        let refused = confusion_figure(Path::new("figure.pdf"), "", &Gesture::ALL, &confusion()).unwrap_err();
+        let refused =
+            confusion_figure(Path::new("figure.pdf"), "", &Gesture::ALL.map(Class::Gesture), &confusion())
+                .unwrap_err();
         assert!(refused.to_string().contains("figure.pdf: a figure is a .png or an .svg file"));
-        let missing =
-            confusion_figure(Path::new("/nowhere/x.png"), "", &Gesture::ALL, &confusion()).unwrap_err();
+        let missing = confusion_figure(
+            Path::new("/nowhere/x.png"),
+            "",
+            &Gesture::ALL.map(Class::Gesture),
+            &confusion(),
+        )
+        .unwrap_err();
         assert!(missing.to_string().starts_with("/nowhere/x.png: cannot write the figure"));
     }
 }

@@ -9,11 +9,13 @@
 #![forbid(unsafe_code)]
 
 mod confusion;
+mod continuous;
 mod evaluation;
 mod figure;
 mod tally;
 
 pub use confusion::{ClassScores, Confusion};
+pub use continuous::{CuePart, GestureWindows, RepetitionScores, Step, StrategyScores, StrategyTally, Times};
 pub use evaluation::{ConfusedPair, Evaluation, Group, Spread};
 pub use figure::{FigureError, confusion_figure, latency_figure};
 pub use tally::{Answer, Origin, Tally};

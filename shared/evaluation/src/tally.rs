@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use hdrhistogram::Histogram;
-use tendon_gesture::Gesture;
+use tendon_gesture::{Class, Gesture};
 use tendon_latency::duration_histogram;
 
 use crate::confusion::Confusion;
@@ -30,7 +30,7 @@ pub struct Answer<'a> {
 /// Answers gathered so far.
 #[derive(Clone, Debug)]
 pub struct Tally {
-    pub(crate) classes: Vec<Gesture>,
+    pub(crate) classes: Vec<Class>,
     pub(crate) confusion: Confusion,
     /// Sum of −ln p of the true class.
     pub(crate) loss_sum: f64,
@@ -42,7 +42,7 @@ pub struct Tally {
 
 impl Tally {
     /// No answers yet, of a classifier that knows these classes, in the order of its outputs.
-    pub fn new(classes: &[Gesture]) -> Tally {
+    pub fn new(classes: &[Class]) -> Tally {
         Tally {
             classes: classes.to_vec(),
             confusion: Confusion::new(classes.len()),
@@ -56,7 +56,7 @@ impl Tally {
 
     /// Which class a gesture is; `None`, and counted as left out, when the classifier does not know it.
     pub fn class_of(&mut self, gesture: Gesture) -> Option<usize> {
-        let class = self.classes.iter().position(|class| *class == gesture);
+        let class = self.classes.iter().position(|class| class.includes(gesture));
         if class.is_none() {
             *self.windows_left_out.entry(gesture).or_default() += 1;
         }

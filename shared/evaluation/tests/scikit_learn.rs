@@ -3,7 +3,7 @@
 
 use serde_json::Value;
 use tendon_evaluation::{Answer, ClassScores, Evaluation, Origin, Tally};
-use tendon_gesture::Gesture;
+use tendon_gesture::{Class, Gesture};
 
 fn cases() -> Vec<Value> {
     serde_json::from_str(include_str!("golden/scores.json")).unwrap()
@@ -16,11 +16,12 @@ fn numbers(value: &Value) -> Vec<f64> {
 fn evaluate(case: &Value) -> Evaluation {
     let probabilities: Vec<Vec<f64>> =
         case["probabilities"].as_array().unwrap().iter().map(numbers).collect();
-    let classes = &Gesture::ALL[..probabilities[0].len()];
-    let mut tally = Tally::new(classes);
+    let gestures = &Gesture::ALL[..probabilities[0].len()];
+    let classes: Vec<Class> = gestures.iter().copied().map(Class::Gesture).collect();
+    let mut tally = Tally::new(&classes);
     for (truth, probabilities) in numbers(&case["truth"]).iter().zip(&probabilities) {
         let probabilities: Vec<f32> = probabilities.iter().map(|value| *value as f32).collect();
-        let truth = tally.class_of(classes[*truth as usize]).unwrap();
+        let truth = tally.class_of(gestures[*truth as usize]).unwrap();
         let answer = Answer { probabilities: &probabilities, work_ns: 1000 };
         tally.record(truth, Origin { person: 1, repetition: 0 }, answer);
     }
@@ -54,7 +55,7 @@ fn every_score_is_scikit_learns_to_the_last_digit() {
 
 #[test]
 fn windows_the_classifier_does_not_know_are_counted_and_named() {
-    let mut tally = Tally::new(&Gesture::ACTIVE);
+    let mut tally = Tally::new(&Gesture::ACTIVE.map(Class::Gesture));
     assert_eq!(tally.class_of(Gesture::Rest), None);
     let truth = tally.class_of(Gesture::Grip).unwrap();
     let answer = Answer { probabilities: &[0.1, 0.1, 0.1, 0.1, 0.6], work_ns: 200_000 };

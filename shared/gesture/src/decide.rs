@@ -12,8 +12,25 @@ pub enum Strategy {
     /// Strategy (a): the activity detector tells rest from movement, the classifier only which of the five
     /// active gestures it is.
     Threshold,
+    /// Strategy (b): a first classifier tells rest from movement, a second one which of the five active gestures it
+    /// is; the activity detector is not asked.
+    TwoStage,
     /// Strategy (c): the classifier knows all six classes; the activity detector is not asked.
     Direct,
+}
+
+impl Strategy {
+    /// All of them, in the paper's order.
+    pub const ALL: [Strategy; 3] = [Strategy::Threshold, Strategy::TwoStage, Strategy::Direct];
+
+    /// The name used in configuration and reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Strategy::Threshold => "threshold",
+            Strategy::TwoStage => "two_stage",
+            Strategy::Direct => "direct",
+        }
+    }
 }
 
 /// Settings of the decision stage. The defaults are the paper's; the speed is ours, as the paper names none.
@@ -178,7 +195,7 @@ impl Decider {
         let candidates: &[Gesture] = match self.settings.strategy {
             Strategy::Threshold if !evidence.moving => return (Gesture::Rest, 1.0),
             Strategy::Threshold => &Gesture::ACTIVE,
-            Strategy::Direct => &Gesture::ALL,
+            Strategy::TwoStage | Strategy::Direct => &Gesture::ALL,
         };
         candidates
             .iter()
@@ -290,20 +307,24 @@ mod tests {
     }
 
     #[test]
-    fn only_the_direct_strategy_lets_the_classifier_say_rest() {
+    fn only_the_threshold_strategy_leaves_rest_to_the_activity_detector() {
         let threshold = DecisionSettings::default();
+        let two_stage = DecisionSettings { strategy: Strategy::TwoStage, ..DecisionSettings::default() };
         let direct = DecisionSettings { strategy: Strategy::Direct, ..DecisionSettings::default() };
         for (settings, moving, expected) in [
             (&threshold, false, Gesture::Rest),
             (&threshold, true, Gesture::Grip),
+            (&two_stage, false, Gesture::Grip),
             (&direct, false, Gesture::Grip),
         ] {
             let mut decider = Decider::new(settings).unwrap();
             let decisions = decide_all(&mut decider, &[(Gesture::Grip, moving)]);
             assert_eq!(decisions[0].gesture, expected);
         }
-        let mut decider = Decider::new(&direct).unwrap();
-        assert_eq!(decide_all(&mut decider, &[(Gesture::Rest, true)])[0].gesture, Gesture::Rest);
+        for settings in [&two_stage, &direct] {
+            let mut decider = Decider::new(settings).unwrap();
+            assert_eq!(decide_all(&mut decider, &[(Gesture::Rest, true)])[0].gesture, Gesture::Rest);
+        }
     }
 
     #[test]

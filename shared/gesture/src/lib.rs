@@ -6,9 +6,11 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod class;
 mod decide;
 mod label;
 
+pub use class::Class;
 pub use decide::{
     Decider, Decision, DecisionSettings, Evidence, GripperTarget, InvalidDecisionSetting, Strategy,
 };

@@ -1,0 +1,91 @@
+"""The card that goes beside a model: its data, its recipe, its scores, its limits."""
+
+from pathlib import Path
+
+import numpy as np
+
+# Test accuracy in the paper, by network and number of classes; of the raw signal.
+PAPER_ACCURACY = {("cnn", 6): 0.8646, ("cnn", 5): 0.9055, ("lstm", 6): 0.7032}
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def write_card(
+    out: Path,
+    network: str,
+    names: list[str],
+    shape: tuple[int, ...],
+    recipe: dict,
+    truth: np.ndarray,
+    predicted: np.ndarray,
+    people: np.ndarray,
+    parity: float,
+) -> None:
+    """The model card beside OUT, and on the terminal; true and predicted classes and people are those of the test."""
+    classes = len(names)
+    # One row a true class, one column a predicted class.
+    confusion = np.bincount(truth * classes + predicted, minlength=classes**2).reshape(classes, classes)
+    with np.errstate(invalid="ignore"):
+        precision = confusion.diagonal() / confusion.sum(0)
+        recall = confusion.diagonal() / confusion.sum(1)
+        f1 = 2 * precision * recall / (precision + recall)
+    scores = [
+        [name, f"{precision[i]:.3f}", f"{recall[i]:.3f}", f"{f1[i]:.3f}", str(confusion[i].sum())]
+        for i, name in enumerate(names)
+    ]
+    counts = [[f"**{name}**", *map(str, confusion[i])] for i, name in enumerate(names)]
+    by_person = [
+        [str(person), f"{(predicted == truth)[people == person].mean():.3f}", str((people == person).sum())]
+        for person in sorted(set(people.tolist()))
+    ]
+    paper = PAPER_ACCURACY.get((network, classes)) if "move" not in names and "raw" == recipe["input"] else None
+    yardstick = (
+        f"\n- The paper's accuracy ({paper}, Ozdemir data set, 35 people trained, five held out) was reached on other"
+        " data and is\n  no yardstick for this number."
+        if paper
+        else ""
+    )
+    what = {"cnn": "1D CNN", "lstm": "LSTM"}[network]
+    card = f"""# {out.name}
+
+The {what} of the paper: {classes} classes ({", ".join(names)}). Input `window` {[1, *shape]}: the signal in ADC \
+counts, channel-major; output `probabilities` [1, {classes}]. Z-score and softmax are inside the graph. Written by \
+`training/train.py`.
+
+## Data
+3DC data set (Côté-Allard et al. 2019): raw forearm EMG, dry electrodes, 1000 Hz, resampled to 2000 Hz.
+
+{table(["", ""], [[key, str(value)] for key, value in recipe.items()])}
+
+## Test on people never seen in training
+Accuracy **{confusion.trace() / confusion.sum():.4f}** over {confusion.sum()} examples.
+
+{table(["class", "precision", "recall", "F1", "examples"], scores)}
+
+Confusion matrix, one row a true class, one column a predicted class:
+
+{table(["", *names], counts)}
+
+{table(["person", "accuracy", "examples"], by_person)}
+
+## Limits
+- Validation windows overlap training windows of the same people (the split of the paper), so the validation
+  accuracy says nothing about a new person; the test accuracy does. Expect it to vary greatly between people.
+- Rest windows come from recordings of rest only; letting go of a gesture is in no class.
+- Amplitudes are those of one armband in ADC counts: another amplifier needs a model trained on its own unit.
+- All windows of a file carry its label after onset detection, so some labels are wrong, mostly where a person
+  moved late or let go early.{yardstick}
+
+PyTorch and ONNX Runtime differ by at most {parity:.1e} in a probability.
+
+## Credit
+The 3DC data set (LibEMG/3DCDataset): Côté-Allard, U., Fall, C. L., Drouin, A., Campeau-Lecours, A., Gosselin, C.,
+Glette, K., Laviolette, F., Gosselin, B.: "Deep learning for electromyographic hand gesture signal classification
+using transfer learning", IEEE Transactions on Neural Systems and Rehabilitation Engineering 27(4):760-771, 2019.
+"""
+    out.with_suffix(".md").write_text(card)
+    print(card)

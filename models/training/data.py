@@ -1,0 +1,99 @@
+"""A data set that `tendon dataset build` wrote, as examples to train on.
+
+    windows.npy    float32 [n, channels, samples]     splits.npy      uint8  [n]  0 training, 1 validation, 2 test
+    labels.npy     uint8   [n]  the gesture's number  recordings.npy  uint32 [n]  the window's recording
+    people.npy     uint16  [n]                        manifest.json   settings and statistics
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+GESTURES = ["rest", "extension", "flexion", "ulnar", "radial", "grip"]
+# Names of the paper's class sets; any other set is given by the names of its gestures.
+CLASS_SETS = {
+    "six": GESTURES,
+    "five": GESTURES[1:],
+    "four": GESTURES[1:5],
+    "rest-move": ["rest", "move"],
+}
+# Windows of a sequence for the LSTM (paper section "Classification Models").
+SEQUENCE_WINDOWS = 5
+TRAINING, VALIDATION, TEST = 0, 1, 2
+# What the paper's recordings were filtered with: for a data set of recordings that were filtered before.
+PAPER_FILTER = {"notch_hz": 50.0, "notch_quality": 30.0, "band_pass_hz": [5.0, 500.0], "band_pass_order": 6}
+
+
+def class_names(given: str) -> list[str]:
+    """The classes of a set's name, or of gestures separated by commas; ValueError if there are none such."""
+    names = CLASS_SETS.get(given) or given.split(",")
+    for name in names:
+        if name not in GESTURES and names != CLASS_SETS["rest-move"]:
+            raise ValueError(f"`{name}` is no gesture: take {', '.join(CLASS_SETS)}, or two or more of {', '.join(GESTURES)}")
+    if len(set(names)) < 2 or len(set(names)) != len(names):
+        raise ValueError(f"`{given}`: a classifier needs two or more different classes")
+    return names
+
+
+class Dataset:
+    """Examples [n, channels, samples], or sequences of windows [n, windows, channels, samples], and their classes.
+
+    An example is known by its newest window: that window's class, person and split are the example's.
+    """
+
+    def __init__(self, folder: Path, classes: list[str], sequence_windows: int):
+        manifest = folder / "manifest.json"
+        if not manifest.is_file():
+            raise SystemExit(f"{folder}: holds no complete data set; make one with `tendon dataset build`")
+        self.manifest = json.loads(manifest.read_text())
+        self.settings = self.manifest["settings"]
+        self.settings["filter"] = self.settings["filter"] or PAPER_FILTER
+        self.windows = np.load(folder / "windows.npy", mmap_mode="r")
+        self.people = np.load(folder / "people.npy")
+        self.sequence_windows = sequence_windows
+        splits = np.load(folder / "splits.npy")
+        recordings = np.load(folder / "recordings.npy")
+
+        if classes == CLASS_SETS["rest-move"]:
+            class_of_gesture = [0, 1, 1, 1, 1, 1]
+        else:
+            class_of_gesture = [classes.index(name) if name in classes else -1 for name in GESTURES]
+        self.labels = np.array(class_of_gesture)[np.load(folder / "labels.npy")]
+
+        before = sequence_windows - 1
+        has_all = np.ones(len(recordings), dtype=bool)
+        has_all[:before] = False
+        has_all[before:] = recordings[before:] == recordings[: len(recordings) - before]
+        used = has_all & (self.labels >= 0)
+        self.training, self.validation, self.test = (
+            np.flatnonzero(used & (splits == split)) for split in (TRAINING, VALIDATION, TEST)
+        )
+        for split, examples in (("training", self.training), ("validation", self.validation), ("test", self.test)):
+            if len(examples) == 0:
+                raise SystemExit(
+                    f"{folder}: no {split} windows of {', '.join(classes)}; "
+                    "build the data set with people held out, `tendon dataset build --test-people P,…`"
+                )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one example, as the network takes it."""
+        return self.windows.shape[1:] if self.sequence_windows == 1 else (self.sequence_windows, *self.windows.shape[1:])
+
+    def examples(self, newest: np.ndarray) -> np.ndarray:
+        """The examples whose newest windows are given."""
+        if self.sequence_windows == 1:
+            return self.windows[newest]
+        return self.windows[newest[:, None] + np.arange(1 - self.sequence_windows, 1)]
+
+    def channel_statistics(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of each channel over the training windows, summed in float64."""
+        total = squares = 0.0
+        for part in np.array_split(self.training, max(1, len(self.training) // 4096)):
+            windows = self.windows[part].astype(np.float64)
+            total += windows.sum(axis=(0, 2))
+            squares += (windows**2).sum(axis=(0, 2))
+        count = len(self.training) * self.windows.shape[2]
+        mean = total / count
+        return mean.astype(np.float32), np.sqrt(squares / count - mean**2).astype(np.float32)

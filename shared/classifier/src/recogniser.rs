@@ -1,0 +1,154 @@
+//! The models of a strategy, as one thing that turns windows into probabilities of gestures.
+
+use std::path::Path;
+
+use tendon_gesture::{Class, Gesture, Strategy};
+
+use crate::locate::model_beside_program;
+use crate::{Classifier, ClassifierError, Contract, WindowSource};
+
+/// File name of the model that comes with Tendon to recognise gestures by `strategy`.
+pub const fn default_model_file(strategy: Strategy) -> &'static str {
+    match strategy {
+        Strategy::Threshold | Strategy::TwoStage => "cnn-five-gesture.onnx",
+        Strategy::Direct => "cnn-six-class.onnx",
+    }
+}
+
+/// File name of the model that comes with Tendon for the first stage of the two-stage strategy.
+pub const DEFAULT_REST_MOVE_MODEL_FILE: &str = "cnn-rest-move.onnx";
+
+/// The model of a strategy, or the two of the two-stage strategy.
+///
+/// ```text
+/// threshold, direct   window ─▶ model ─▶ probabilities
+/// two_stage           window ─▶ rest or move? ─ rest ─▶ probability of rest; 0 for all gestures
+///                                             └ move ─▶ five gestures ─▶ their probabilities; 0 for rest
+/// ```
+#[derive(Debug)]
+pub struct Recogniser {
+    gestures: Classifier,
+    rest_move: Option<RestMove>,
+    probabilities: [f32; Gesture::COUNT],
+}
+
+/// The first stage of the two-stage strategy.
+#[derive(Debug)]
+struct RestMove {
+    classifier: Classifier,
+    /// Which of the two outputs is rest.
+    rest: usize,
+}
+
+impl Recogniser {
+    /// Loads what `strategy` needs from ONNX Runtime in `library`: `model`, and for the two-stage strategy
+    /// `rest_move_model`; where a path is left out, the model that comes with Tendon.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError`], naming the file and the remedy.
+    pub fn load(
+        library: &Path,
+        strategy: Strategy,
+        model: Option<&Path>,
+        rest_move_model: Option<&Path>,
+    ) -> Result<Recogniser, ClassifierError> {
+        let load = |model: Option<&Path>, default: &str| {
+            let path = model.map_or_else(|| model_beside_program(default), |path| Ok(path.to_owned()))?;
+            Classifier::load(library, &path)
+        };
+        let gestures = load(model, default_model_file(strategy))?;
+        let unfit = |classifier: &Classifier, needed: &'static str| {
+            let classes: Vec<&str> = classifier.contract().classes.iter().map(|class| class.name()).collect();
+            Err(ClassifierError::Unfit {
+                path: classifier.path().to_owned(),
+                differences: format!(
+                    "it knows the classes {}; decision.strategy = \"{}\", {needed}",
+                    classes.join(", "),
+                    strategy.name()
+                ),
+            })
+        };
+        let classes = &gestures.contract().classes;
+        if classes.contains(&Class::Move) {
+            return unfit(&gestures, "which needs a model that knows the gestures one by one");
+        }
+        if strategy == Strategy::Direct && !classes.contains(&Class::Gesture(Gesture::Rest)) {
+            return unfit(&gestures, "which needs a model that knows rest");
+        }
+        let mut rest_move = None;
+        if strategy == Strategy::TwoStage {
+            let classifier = load(rest_move_model, DEFAULT_REST_MOVE_MODEL_FILE)?;
+            let rest = match classifier.contract().classes[..] {
+                [Class::Gesture(Gesture::Rest), Class::Move] => 0,
+                [Class::Move, Class::Gesture(Gesture::Rest)] => 1,
+                _ => return unfit(&classifier, "whose first stage needs a model of rest and move"),
+            };
+            rest_move = Some(RestMove { classifier, rest });
+        }
+        Ok(Recogniser { gestures, rest_move, probabilities: [0.0; Gesture::COUNT] })
+    }
+
+    /// Makes sure that each model fits what delivers the windows.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::Unfit`], with everything that differs.
+    pub fn check_fit(&self, source: &WindowSource<'_>) -> Result<(), ClassifierError> {
+        self.gestures.check_fit(source)?;
+        self.rest_move.as_ref().map_or(Ok(()), |rest_move| rest_move.classifier.check_fit(source))
+    }
+
+    /// The files of the models, in the order in which they are asked.
+    pub fn models(&self) -> Vec<&Path> {
+        let rest_move = self.rest_move.iter().map(|rest_move| rest_move.classifier.path());
+        rest_move.chain([self.gestures.path()]).collect()
+    }
+
+    /// The contract of the model that tells the gestures apart.
+    pub fn contract(&self) -> &Contract {
+        self.gestures.contract()
+    }
+
+    /// The probability of every gesture by class number, 0 for those that the model does not know. Of the two
+    /// stages, that of the first if it says rest, else those of the second. The window is read in place.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::Run`], as [`Classifier::classify`].
+    pub fn recognise(&mut self, window: &[f32]) -> Result<&[f32; Gesture::COUNT], ClassifierError> {
+        self.probabilities = [0.0; Gesture::COUNT];
+        if let Some(rest_move) = &mut self.rest_move {
+            let outputs = rest_move.classifier.classify(window)?;
+            let (rest, movement) = (outputs[rest_move.rest], outputs[1 - rest_move.rest]);
+            // Of equals, rest: an arm that waits does less harm. So does one whose model gives no number.
+            let moves = movement > rest;
+            if !moves {
+                self.probabilities[Gesture::Rest.index()] = rest;
+                return Ok(&self.probabilities);
+            }
+        }
+        let outputs = self.gestures.runner.run(window).map_err(|reason| ClassifierError::Run { reason })?;
+        for (class, probability) in self.gestures.contract.classes.iter().zip(outputs) {
+            if let Class::Gesture(gesture) = class {
+                self.probabilities[gesture.index()] = *probability;
+            }
+        }
+        if self.rest_move.is_some() {
+            self.probabilities[Gesture::Rest.index()] = 0.0;
+        }
+        Ok(&self.probabilities)
+    }
+
+    /// Runs every model on `window`, whatever it shows: what a rehearsal needs.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::Run`], as [`Classifier::classify`].
+    pub fn rehearse(&mut self, window: &[f32]) -> Result<(), ClassifierError> {
+        if let Some(rest_move) = &mut self.rest_move {
+            rest_move.classifier.classify(window)?;
+        }
+        self.gestures.classify(window).map(drop)
+    }
+}
