@@ -158,6 +158,6 @@ fn show_progress(progress: &Progress<'_>) {
         progress.done,
         progress.total,
         progress.windows,
-        progress.folder.display()
+        progress.path.display()
     );
 }

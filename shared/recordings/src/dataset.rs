@@ -25,20 +25,26 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_signal::{
-    DesignError, EmgFilter, Envelope, FilterSettings, OnsetSettings, WindowInput, WindowSettings, find_onset,
+    DesignError, EmgFilter, FilterSettings, OnsetSettings, WindowInput, WindowSettings, find_onset,
 };
 
 use crate::error::RecordingError;
-use crate::npy::NpyWriter;
-use crate::replay::ReplayStream;
-use crate::source::{RecordingSettings, Segment, check};
+use crate::npy::{Element, NpyWriter};
 use crate::table::Channel;
-use crate::three_dc;
+
+mod cut;
+mod listing;
+
+pub use cut::{Cut, CutWindow, cut};
+pub use listing::{Recording, Recordings, list};
+
+use cut::{Outcome, Trial, trials};
 
 /// How windows are made. The defaults are the paper's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,6 +80,31 @@ impl Default for DatasetSettings {
             fallback_ms: 500.0,
             rest_start_ms: 500.0,
         }
+    }
+}
+
+impl DatasetSettings {
+    /// What would otherwise only show at the first recording, as a reason to leave it out.
+    fn check(&self) -> Result<(), DesignError> {
+        let channels = self.channels.len();
+        if let Some(filter) = &self.filter {
+            EmgFilter::new(filter, channels, self.sample_rate_hz)?;
+        }
+        find_onset(&self.onset, &[], channels, self.sample_rate_hz)?;
+        let WindowSettings { window_samples, increment_samples } = self.windows;
+        for (setting, samples, example) in
+            [("window_samples", window_samples, 600), ("increment_samples", increment_samples, 150)]
+        {
+            if samples == 0 {
+                return Err(DesignError::NoSamples { setting, example });
+            }
+        }
+        for (setting, value) in [("fallback_ms", self.fallback_ms), ("rest_start_ms", self.rest_start_ms)] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(DesignError::Duration { setting, value, example: 500.0 });
+            }
+        }
+        Ok(())
     }
 }
 
@@ -145,26 +176,30 @@ impl OnsetStatistics {
     }
 }
 
-/// A file that windows were cut from.
+/// A trial that windows were cut from: a file, or a part of one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RecordingEntry {
     /// The file.
     pub file: PathBuf,
     /// Number of the person.
     pub person: u16,
-    /// `train` or `test`.
+    /// When it was made: `train` or `test` of 3DC.
     pub session: String,
-    /// Repetition within the session, 0 to 3.
+    /// Repetition within the session.
     pub repetition: u32,
+    /// Repetition counted through all sessions of the person, as in `repetitions.npy`.
+    pub repetition_of_all: u8,
     /// What the person was asked to do.
     pub gesture: Gesture,
     /// Rate that samples are counted at, Hz: the data set's.
     pub sample_rate_hz: f64,
-    /// Samples of the file at that rate.
+    /// Where the trial begins within its file, at that rate: 0 if it is the whole file.
+    pub first_sample: u64,
+    /// Samples of the trial at that rate.
     pub samples: usize,
-    /// Where the movement begins; `null` for rest and where none was found.
+    /// Where within the trial the movement begins; `null` for rest and where none was found.
     pub onset_sample: Option<usize>,
-    /// Where the first window begins: the margin before the onset, the fixed cut-off, or where rest has settled.
+    /// Where within the trial the first window begins: the margin before the onset, the fixed cut-off, or where rest has settled.
     pub start_sample: usize,
     /// Whether the fixed cut-off stands in for an onset that was not found.
     pub fallback: bool,
@@ -174,24 +209,31 @@ pub struct RecordingEntry {
     pub windows: u64,
 }
 
-/// A file, or a whole repetition, that was left out.
+impl RecordingEntry {
+    /// Where within the trial its windows begin.
+    pub(crate) fn starts(&self, windows: &WindowSettings) -> impl Iterator<Item = usize> + use<> {
+        (self.start_sample..).step_by(windows.increment_samples).take(self.windows as usize)
+    }
+}
+
+/// A file, a part of one, or a whole recording that was left out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SkippedEntry {
-    /// The file, or the folder of the repetition.
+    /// The file, or the folder of the recording.
     pub path: PathBuf,
     /// Why.
     pub reason: String,
 }
 
-/// How far [`build`] has come: told after each repetition.
+/// How far [`build`] has come: told after each recording.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress<'a> {
-    /// Repetitions done.
+    /// Recordings done.
     pub done: usize,
-    /// Repetitions in all.
+    /// Recordings in all.
     pub total: usize,
-    /// Folder of the repetition just done.
-    pub folder: &'a Path,
+    /// The file or folder of the recording just done.
+    pub path: &'a Path,
     /// Windows so far.
     pub windows: u64,
 }
@@ -235,52 +277,6 @@ pub enum DatasetError {
     },
 }
 
-/// Whose recording it is and when it was made.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Origin {
-    person: u16,
-    session: Session,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Session {
-    Train,
-    Test,
-}
-
-impl Session {
-    fn name(self) -> &'static str {
-        match self {
-            Session::Train => "train",
-            Session::Test => "test",
-        }
-    }
-
-    /// The repetition counted through both sessions, each of which has four.
-    fn repetition_of_both(self, repetition: u32) -> u8 {
-        let before = match self {
-            Session::Train => 0,
-            Session::Test => 4,
-        };
-        u8::try_from(before + repetition).unwrap_or(u8::MAX)
-    }
-}
-
-impl Origin {
-    /// Reads person and session from `…/ParticipantP/{train,test}/EMG`.
-    fn of_folder(folder: &Path) -> Option<Origin> {
-        let session_folder = folder.parent()?;
-        let session = match session_folder.file_name()?.to_str()? {
-            "train" => Session::Train,
-            "test" => Session::Test,
-            _ => return None,
-        };
-        let person =
-            session_folder.parent()?.file_name()?.to_str()?.strip_prefix("Participant")?.parse().ok()?;
-        Some(Origin { person, session })
-    }
-}
-
 /// Cuts the windows of all `recordings`, 3DC folders `ParticipantP/{train,test}/EMG` or folders above such, and
 /// writes the data set to `out_dir`, which is created. Recordings that cannot be used are left out and listed in the
 /// manifest.
@@ -294,47 +290,24 @@ pub fn build(
     out_dir: &Path,
     progress: &mut dyn FnMut(Progress<'_>),
 ) -> Result<Manifest, DatasetError> {
-    let mut repetitions = Vec::new();
-    for given in recordings {
-        let mut folders = Vec::new();
-        gather_folders(given, &mut folders);
-        if folders.is_empty() {
-            return Err(DatasetError::Unplaced { folder: given.clone() });
-        }
-        for (folder, origin) in folders {
-            for repetition in three_dc::repetitions(&folder)? {
-                repetitions.push((folder.clone(), origin.clone(), repetition));
-            }
-        }
-    }
+    settings.check()?;
+    let found = list(recordings)?;
     let mut builder = Builder::create(settings, out_dir)?;
-    for (index, (folder, origin, repetition)) in repetitions.iter().enumerate() {
-        builder.add_repetition(folder, origin, *repetition)?;
+    builder.manifest.skipped = found.skipped;
+    let total = found.recordings.len();
+    for (index, recording) in found.recordings.iter().enumerate() {
+        builder.add(recording)?;
         let windows = builder.manifest.windows;
-        progress(Progress { done: index + 1, total: repetitions.len(), folder, windows });
+        progress(Progress { done: index + 1, total, path: &recording.path, windows });
     }
     if builder.manifest.windows == 0 {
         let first_reason = match builder.manifest.skipped.first() {
             Some(skipped) => format!("{}: {}", skipped.path.display(), skipped.reason),
             None => "the folders hold no files 3dc_EMG_gesture_R_G.txt".to_owned(),
         };
-        return Err(DatasetError::NoWindows { recordings: recordings.len(), first_reason });
+        return Err(DatasetError::NoWindows { recordings: total, first_reason });
     }
     builder.finish()
-}
-
-/// The folders of recordings at or below `folder`, in the order of people and sessions: `train` comes before `test`.
-fn gather_folders(folder: &Path, found: &mut Vec<(PathBuf, Origin)>) {
-    if let Some(origin) = Origin::of_folder(folder) {
-        found.push((folder.to_owned(), origin));
-        return;
-    }
-    // A folder that cannot be listed holds nothing for us; if nothing is found at all, that is an error.
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    for entry in entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir())) {
-        gather_folders(&entry.path(), found);
-    }
-    found.sort_by_key(|(_, origin)| (origin.person, origin.session.repetition_of_both(0)));
 }
 
 /// The data set being written.
@@ -342,38 +315,11 @@ struct Builder<'a> {
     settings: &'a DatasetSettings,
     out_dir: &'a Path,
     windows: NpyWriter<f32>,
-    labels: NpyWriter<u8>,
-    people: NpyWriter<u16>,
-    repetitions: NpyWriter<u8>,
-    recordings: NpyWriter<u32>,
-    starts: NpyWriter<u32>,
     manifest: Manifest,
 }
 
 impl<'a> Builder<'a> {
     fn create(settings: &'a DatasetSettings, out_dir: &'a Path) -> Result<Builder<'a>, DatasetError> {
-        let channels = settings.channels.len();
-        let WindowSettings { window_samples, increment_samples } = settings.windows;
-        // What would otherwise only show at the first recording, as a reason to skip it.
-        if let Some(filter) = &settings.filter {
-            EmgFilter::new(filter, channels, settings.sample_rate_hz)?;
-        }
-        find_onset(&settings.onset, &[], channels, settings.sample_rate_hz)?;
-        for (setting, samples, example) in
-            [("window_samples", window_samples, 600), ("increment_samples", increment_samples, 150)]
-        {
-            if samples == 0 {
-                return Err(DesignError::NoSamples { setting, example }.into());
-            }
-        }
-        for (setting, value) in
-            [("fallback_ms", settings.fallback_ms), ("rest_start_ms", settings.rest_start_ms)]
-        {
-            if !(value.is_finite() && value >= 0.0) {
-                return Err(DesignError::Duration { setting, value, example: 500.0 }.into());
-            }
-        }
-
         fs::create_dir_all(out_dir).map_err(write_error(out_dir))?;
         let manifest_path = out_dir.join(MANIFEST);
         match fs::remove_file(&manifest_path) {
@@ -382,18 +328,12 @@ impl<'a> Builder<'a> {
             }
             _ => {}
         }
-        let path = |name| out_dir.join(name);
+        let windows_path = out_dir.join(WINDOWS);
+        let row_shape = [settings.channels.len(), settings.windows.window_samples];
         Ok(Builder {
             settings,
             out_dir,
-            windows: NpyWriter::create(&path(WINDOWS), &[channels, window_samples])
-                .map_err(write_error(&path(WINDOWS)))?,
-            labels: NpyWriter::create(&path(LABELS), &[]).map_err(write_error(&path(LABELS)))?,
-            people: NpyWriter::create(&path(PEOPLE), &[]).map_err(write_error(&path(PEOPLE)))?,
-            repetitions: NpyWriter::create(&path(REPETITIONS), &[])
-                .map_err(write_error(&path(REPETITIONS)))?,
-            recordings: NpyWriter::create(&path(RECORDINGS), &[]).map_err(write_error(&path(RECORDINGS)))?,
-            starts: NpyWriter::create(&path(STARTS), &[]).map_err(write_error(&path(STARTS)))?,
+            windows: NpyWriter::create(&windows_path, &row_shape).map_err(write_error(&windows_path))?,
             manifest: Manifest {
                 settings: settings.clone(),
                 windows: 0,
@@ -408,160 +348,83 @@ impl<'a> Builder<'a> {
         })
     }
 
-    /// Adds the windows of one repetition; a repetition with anything wrong is skipped whole.
-    fn add_repetition(
-        &mut self,
-        folder: &Path,
-        origin: &Origin,
-        repetition: u32,
-    ) -> Result<(), DatasetError> {
-        let settings = RecordingSettings {
-            channels: self.settings.channels.clone(),
-            sample_rate_hz: None,
-            repetition: Some(repetition),
-        };
-        let summary = match check(folder, &settings) {
-            Ok(summary) => summary,
-            Err(error) => {
-                let reason = format!("repetition {repetition}: {error}");
-                self.manifest.skipped.push(SkippedEntry { path: folder.to_owned(), reason });
-                return Ok(());
-            }
-        };
-        self.manifest.notices.extend(summary.notices.iter().map(ToString::to_string));
-
-        let channels = self.settings.channels.len();
-        let rate_hz = self.settings.sample_rate_hz;
-        let filter = self.settings.filter.as_ref();
-        let mut filter = filter.map(|filter| EmgFilter::new(filter, channels, rate_hz)).transpose()?;
-        let mut stream = ReplayStream::open(folder, &settings, rate_hz, 1)?;
-        let segments = stream.source().segments().to_vec();
-        let mut frame = vec![0.0; channels];
-        let mut signal: Vec<Vec<f32>> = vec![Vec::new(); channels];
-        let mut segment = 0;
-        loop {
-            let block = stream.next_block(&mut frame)?;
-            if block.is_none_or(|block| block.segment != segment) {
-                let mut replaced_samples = 0;
-                for (channel, samples) in signal.iter_mut().enumerate() {
-                    if let Some(filter) = &mut filter {
-                        replaced_samples += filter.process(channel, samples);
-                    }
-                }
-                self.add_segment(origin, &segments[segment], &signal.concat(), replaced_samples)?;
-                signal.iter_mut().for_each(Vec::clear);
-            }
-            let Some(block) = block else { return Ok(()) };
-            segment = block.segment;
-            for (samples, &sample) in signal.iter_mut().zip(&frame) {
-                samples.push(sample);
-            }
-        }
-    }
-
-    /// Adds the windows of one file; `signal` is filtered, `[channels × samples]`.
-    fn add_segment(
-        &mut self,
-        origin: &Origin,
-        segment: &Segment,
-        signal: &[f32],
-        replaced_samples: u32,
-    ) -> Result<(), DatasetError> {
-        let (Some(gesture), Some((repetition, _))) = (segment.cue, segment.three_dc) else {
-            self.skip(segment, "its gesture is none of the six".to_owned());
-            return Ok(());
-        };
-        if replaced_samples > 0 {
-            self.skip(segment, format!("{replaced_samples} samples are beyond what any amplifier gives"));
-            return Ok(());
-        }
-        let channels = self.settings.channels.len();
-        let rate_hz = self.settings.sample_rate_hz;
-        let samples = signal.len() / channels;
-        let samples_of_ms = |ms: f64| (ms * 1e-3 * rate_hz).round() as usize;
-        let (onset_sample, start_sample) = match gesture {
-            Gesture::Rest => (None, samples_of_ms(self.settings.rest_start_ms)),
-            _ => match find_onset(&self.settings.onset, signal, channels, rate_hz)? {
-                Some(onset) => (Some(onset.sample), onset.start_sample),
-                None => (None, samples_of_ms(self.settings.fallback_ms)),
-            },
-        };
-        let envelope = match self.settings.input {
-            WindowInput::Raw => None,
-            WindowInput::Envelope => {
-                Some(envelope_of(signal, samples, self.settings.onset.envelope_ms, rate_hz)?)
-            }
-        };
-        let content = envelope.as_deref().unwrap_or(signal);
-        let WindowSettings { window_samples, increment_samples } = self.settings.windows;
+    /// Adds the windows of one recording; one that cannot be read to its end is left out whole.
+    fn add(&mut self, recording: &Recording) -> Result<(), DatasetError> {
+        let (mut used, mut skipped) = (Vec::new(), Vec::new());
+        let mut window = vec![0.0; self.settings.channels.len() * self.settings.windows.window_samples];
         let first_window = self.manifest.windows;
-        let recording = self.manifest.recordings.len() as u32;
-        let mut first = start_sample;
-        while first.saturating_add(window_samples) <= samples {
-            for channel in content.chunks_exact(samples) {
-                self.windows
-                    .write(&channel[first..first + window_samples])
-                    .map_err(write_error(&self.out_dir.join(WINDOWS)))?;
+        let mut written = Ok(());
+        let result = trials(self.settings, recording, &mut |outcome| {
+            match outcome {
+                Outcome::Skipped(entry) => skipped.push(entry),
+                Outcome::Trial(trial) => {
+                    written = self.write(&trial, &mut window);
+                    if written.is_err() {
+                        return ControlFlow::Break(());
+                    }
+                    used.push(RecordingEntry {
+                        first_window: self.manifest.windows - trial.entry.windows,
+                        ..trial.entry
+                    });
+                }
             }
-            self.labels.write(&[gesture as u8]).map_err(write_error(&self.out_dir.join(LABELS)))?;
-            self.people.write(&[origin.person]).map_err(write_error(&self.out_dir.join(PEOPLE)))?;
-            self.repetitions
-                .write(&[origin.session.repetition_of_both(repetition)])
-                .map_err(write_error(&self.out_dir.join(REPETITIONS)))?;
-            self.recordings.write(&[recording]).map_err(write_error(&self.out_dir.join(RECORDINGS)))?;
-            self.starts.write(&[first as u32]).map_err(write_error(&self.out_dir.join(STARTS)))?;
-            self.manifest.windows += 1;
-            first = first.saturating_add(increment_samples);
-        }
-        let windows = self.manifest.windows - first_window;
-        if windows == 0 {
-            let left = samples.saturating_sub(start_sample);
-            let reason =
-                format!("{left} samples after the start of the gesture, a window has {window_samples}");
-            self.skip(segment, reason);
-            return Ok(());
-        }
-        let fallback = gesture != Gesture::Rest && onset_sample.is_none();
-        self.manifest.fallbacks += u64::from(fallback);
-        *self.manifest.windows_per_gesture.entry(gesture.name().to_owned()).or_default() += windows;
-        *self.manifest.windows_per_person.entry(origin.person).or_default() += windows;
-        self.manifest.recordings.push(RecordingEntry {
-            file: segment.file.clone(),
-            person: origin.person,
-            session: origin.session.name().to_owned(),
-            repetition,
-            gesture,
-            sample_rate_hz: rate_hz,
-            samples,
-            onset_sample,
-            start_sample,
-            fallback,
-            first_window,
-            windows,
+            ControlFlow::Continue(())
         });
+        written.map_err(write_error(&self.out_dir.join(WINDOWS)))?;
+        match result {
+            Ok(notices) => {
+                self.manifest.recordings.extend(used);
+                self.manifest.skipped.extend(skipped);
+                self.manifest.notices.extend(notices);
+            }
+            Err(error) => {
+                self.windows.truncate(first_window).map_err(write_error(&self.out_dir.join(WINDOWS)))?;
+                self.manifest.windows = first_window;
+                self.manifest.skipped.push(recording.skipped(&error));
+            }
+        }
         Ok(())
     }
 
-    fn skip(&mut self, segment: &Segment, reason: String) {
-        self.manifest.skipped.push(SkippedEntry { path: segment.file.clone(), reason });
+    fn write(&mut self, trial: &Trial, window: &mut [f32]) -> io::Result<()> {
+        for start_sample in trial.entry.starts(&self.settings.windows) {
+            trial.copy_window(start_sample, &self.settings.windows, window);
+            self.windows.write(window)?;
+            self.manifest.windows += 1;
+        }
+        Ok(())
     }
 
     fn finish(mut self) -> Result<Manifest, DatasetError> {
-        let recordings = &self.manifest.recordings;
+        let manifest = &mut self.manifest;
+        for entry in &manifest.recordings {
+            manifest.fallbacks += u64::from(entry.fallback);
+            *manifest.windows_per_gesture.entry(entry.gesture.name().to_owned()).or_default() +=
+                entry.windows;
+            *manifest.windows_per_person.entry(entry.person).or_default() += entry.windows;
+        }
+        let recordings = &manifest.recordings;
         let of_gesture = |gesture: Gesture| {
             let statistics = OnsetStatistics::of(recordings.iter().filter(|entry| entry.gesture == gesture));
             (gesture.name().to_owned(), statistics)
         };
         let total = ("total".to_owned(), OnsetStatistics::of(recordings.iter()));
-        self.manifest.onsets = Gesture::ACTIVE.into_iter().map(of_gesture).chain([total]).collect();
-        let path = |name| self.out_dir.join(name);
-        self.windows.finish().map_err(write_error(&path(WINDOWS)))?;
-        self.labels.finish().map_err(write_error(&path(LABELS)))?;
-        self.people.finish().map_err(write_error(&path(PEOPLE)))?;
-        self.repetitions.finish().map_err(write_error(&path(REPETITIONS)))?;
-        self.recordings.finish().map_err(write_error(&path(RECORDINGS)))?;
-        self.starts.finish().map_err(write_error(&path(STARTS)))?;
-        let manifest_path = path(MANIFEST);
+        manifest.onsets = Gesture::ACTIVE.into_iter().map(of_gesture).chain([total]).collect();
+
+        self.windows.finish().map_err(write_error(&self.out_dir.join(WINDOWS)))?;
+        let rows = || {
+            let windows = &self.settings.windows;
+            recordings
+                .iter()
+                .enumerate()
+                .flat_map(|(index, entry)| entry.starts(windows).map(move |start| (index, entry, start)))
+        };
+        write_array(self.out_dir, LABELS, rows().map(|(_, entry, _)| entry.gesture as u8))?;
+        write_array(self.out_dir, PEOPLE, rows().map(|(_, entry, _)| entry.person))?;
+        write_array(self.out_dir, REPETITIONS, rows().map(|(_, entry, _)| entry.repetition_of_all))?;
+        write_array(self.out_dir, RECORDINGS, rows().map(|(index, _, _)| index as u32))?;
+        write_array(self.out_dir, STARTS, rows().map(|(_, _, start)| start as u32))?;
+        let manifest_path = self.out_dir.join(MANIFEST);
         let write_manifest = || {
             let mut file = io::BufWriter::new(File::create(&manifest_path)?);
             serde_json::to_writer_pretty(&mut file, &self.manifest)?;
@@ -572,6 +435,23 @@ impl<'a> Builder<'a> {
     }
 }
 
+/// Writes an array of single values.
+fn write_array<T: Element>(
+    folder: &Path,
+    name: &str,
+    values: impl Iterator<Item = T>,
+) -> Result<(), DatasetError> {
+    let path = folder.join(name);
+    let write = || {
+        let mut writer = NpyWriter::create(&path, &[])?;
+        for value in values {
+            writer.write(&[value])?;
+        }
+        writer.finish()
+    };
+    write().map_err(write_error(&path))
+}
+
 pub(crate) const WINDOWS: &str = "windows.npy";
 pub(crate) const LABELS: &str = "labels.npy";
 pub(crate) const PEOPLE: &str = "people.npy";
@@ -579,21 +459,6 @@ pub(crate) const REPETITIONS: &str = "repetitions.npy";
 pub(crate) const RECORDINGS: &str = "recordings.npy";
 pub(crate) const STARTS: &str = "starts.npy";
 pub(crate) const MANIFEST: &str = "manifest.json";
-
-/// The moving RMS of every channel of a recording, which begins anew.
-fn envelope_of(
-    signal: &[f32],
-    samples: usize,
-    envelope_ms: f64,
-    rate_hz: f64,
-) -> Result<Vec<f32>, DesignError> {
-    let mut envelope = Vec::with_capacity(signal.len());
-    for channel in signal.chunks_exact(samples.max(1)) {
-        let mut tracker = Envelope::new(envelope_ms, rate_hz)?;
-        envelope.extend(channel.iter().map(|&sample| tracker.push(sample)));
-    }
-    Ok(envelope)
-}
 
 fn write_error(path: &Path) -> impl FnOnce(io::Error) -> DatasetError + '_ {
     |reason| DatasetError::Write { path: path.to_owned(), reason }

@@ -83,6 +83,15 @@ impl<T: Element> NpyWriter<T> {
         Ok(())
     }
 
+    /// Takes back all rows but the first `rows`.
+    pub(crate) fn truncate(&mut self, rows: u64) -> io::Result<()> {
+        let row_elements = self.row_shape.iter().product::<usize>() as u64;
+        self.elements = self.elements.min(rows * row_elements);
+        let bytes = HEADER_BYTES as u64 + self.elements * size_of::<T>() as u64;
+        self.file.seek(SeekFrom::Start(bytes))?;
+        self.file.get_ref().set_len(bytes)
+    }
+
     /// Ends the array: only now does its file tell how many rows it has.
     pub(crate) fn finish(mut self) -> io::Result<()> {
         self.file.seek(SeekFrom::Start(0))?;

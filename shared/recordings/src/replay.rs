@@ -83,10 +83,18 @@ impl ReplayStream {
         sample_rate_hz: f64,
         block_samples: usize,
     ) -> Result<ReplayStream, RecordingError> {
+        ReplayStream::of(RecordingSource::open(path, settings)?, sample_rate_hz, block_samples)
+    }
+
+    /// As [`ReplayStream::open`], for a recording that is open already.
+    pub(crate) fn of(
+        source: RecordingSource,
+        sample_rate_hz: f64,
+        block_samples: usize,
+    ) -> Result<ReplayStream, RecordingError> {
         if block_samples == 0 {
             return Err(RecordingError::NoBlock);
         }
-        let source = RecordingSource::open(path, settings)?;
         let (up, down) = ratio(source.sample_rate_hz(), sample_rate_hz)?;
         let channels = source.channels();
         let mut resamplers = Vec::new();

@@ -25,15 +25,18 @@ pub struct RecordingSettings {
     pub repetition: Option<u32>,
 }
 
-/// A file of a recording.
+/// A file of a recording, or a part of one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Segment {
     /// The file.
     pub file: PathBuf,
-    /// Its repetition and gesture number, of a 3DC recording.
-    pub three_dc: Option<(u32, u32)>,
+    /// Repetition that the segment is a trial of; `None` of a plain table and of what lies between trials.
+    pub repetition: Option<u32>,
     /// What the person was asked to do; `None` if unknown or none of ours.
     pub cue: Option<Gesture>,
+    /// Index within the file of the first sample that is no longer of this segment, at the recording's rate;
+    /// `None` if it lasts to the end of the file.
+    pub end_sample: Option<u64>,
 }
 
 /// Something about a recording that does not keep it from being read, but that its user should know.
@@ -82,10 +85,20 @@ pub struct RecordingSource {
     notices: Vec<Notice>,
     sample_rate_hz: f64,
     channels: usize,
-    table: Table,
-    file: MappedFile,
-    /// The segment that `file` is.
+    samples: Samples,
+    /// The segment of the last frame.
     segment: usize,
+    /// Frames read of the file of that segment.
+    position: u64,
+}
+
+/// Where the samples are.
+#[derive(Debug)]
+enum Samples {
+    /// In a text file, the one of the current segment.
+    Table { table: Table, file: MappedFile },
+    /// In memory: the chosen channels, all of the same length.
+    Columns(Vec<Vec<f32>>),
 }
 
 impl RecordingSource {
@@ -103,13 +116,43 @@ impl RecordingSource {
     pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
-        let known_hz = segments[0].three_dc.map(|_| three_dc::SAMPLE_RATE_HZ);
+        let known_hz = segments[0].repetition.map(|_| three_dc::SAMPLE_RATE_HZ);
         let sample_rate_hz = sample_rate(path, known_hz, settings.sample_rate_hz)?;
+        let source = RecordingSource::of_table(segments, &settings.channels, sample_rate_hz)?;
+        Ok(RecordingSource { notices, ..source })
+    }
+
+    /// Opens the text files that `segments` name, at least one.
+    pub(crate) fn of_table(
+        segments: Vec<Segment>,
+        channels: &[Channel],
+        sample_rate_hz: f64,
+    ) -> Result<RecordingSource, RecordingError> {
         let first = &segments[0].file;
         let file = MappedFile::open(first).map_err(RecordingError::open(first))?;
-        let table = Table::open(file.bytes(), &settings.channels).map_err(RecordingError::table(first))?;
-        let channels = settings.channels.len();
-        Ok(RecordingSource { segments, notices, sample_rate_hz, channels, table, file, segment: 0 })
+        let table = Table::open(file.bytes(), channels).map_err(RecordingError::table(first))?;
+        let samples = Samples::Table { table, file };
+        let channels = channels.len();
+        let notices = Vec::new();
+        Ok(RecordingSource { segments, notices, sample_rate_hz, channels, samples, segment: 0, position: 0 })
+    }
+
+    /// A recording that has been loaded: its channels, all of the same length, which are one file's that
+    /// `segments`, at least one, divide.
+    pub(crate) fn of_columns(
+        columns: Vec<Vec<f32>>,
+        segments: Vec<Segment>,
+        sample_rate_hz: f64,
+    ) -> RecordingSource {
+        let channels = columns.len();
+        let samples = Samples::Columns(columns);
+        let notices = Vec::new();
+        RecordingSource { segments, notices, sample_rate_hz, channels, samples, segment: 0, position: 0 }
+    }
+
+    /// Frames read so far of the file that is being read.
+    pub(crate) fn position(&self) -> u64 {
+        self.position
     }
 
     /// Sampling rate in Hz.
@@ -143,25 +186,51 @@ impl RecordingSource {
     #[inline]
     pub fn next_frame(&mut self, frame: &mut [f32]) -> Result<Option<Frame>, RecordingError> {
         loop {
-            match self.table.next_row(self.file.bytes(), frame) {
-                Ok(true) => {
-                    self.file.release_before(self.table.position());
-                    let cue = self.segments[self.segment].cue;
-                    return Ok(Some(Frame { segment: self.segment, cue }));
+            let is_read = match &mut self.samples {
+                Samples::Table { table, file } => match table.next_row(file.bytes(), frame) {
+                    Ok(is_read) => {
+                        file.release_before(table.position());
+                        is_read
+                    }
+                    Err(error) => {
+                        return Err(RecordingError::table(&self.segments[self.segment].file)(error));
+                    }
+                },
+                Samples::Columns(columns) => {
+                    let position = self.position as usize;
+                    let is_read = columns.first().is_some_and(|column| position < column.len());
+                    if is_read {
+                        frame.iter_mut().zip(columns).for_each(|(value, column)| *value = column[position]);
+                    }
+                    is_read
                 }
-                Ok(false) if self.segment + 1 == self.segments.len() => return Ok(None),
-                Ok(false) => self.open_next_segment()?,
-                Err(error) => return Err(RecordingError::table(&self.segments[self.segment].file)(error)),
+            };
+            let is_last = self.segment + 1 == self.segments.len();
+            let end_sample = self.segments[self.segment].end_sample;
+            if is_read {
+                if !is_last && end_sample.is_some_and(|end| self.position >= end) {
+                    self.segment += 1;
+                }
+                self.position += 1;
+                return Ok(Some(Frame { segment: self.segment, cue: self.segments[self.segment].cue }));
             }
+            // Of segments within one file none is left when the file ends.
+            if is_last || end_sample.is_some() {
+                return Ok(None);
+            }
+            self.open_next_segment()?;
         }
     }
 
     fn open_next_segment(&mut self) -> Result<(), RecordingError> {
         let path = &self.segments[self.segment + 1].file;
-        let file = MappedFile::open(path).map_err(RecordingError::open(path))?;
-        self.table.continue_with(file.bytes()).map_err(RecordingError::table(path))?;
-        self.file = file;
+        if let Samples::Table { table, file } = &mut self.samples {
+            let next = MappedFile::open(path).map_err(RecordingError::open(path))?;
+            table.continue_with(next.bytes()).map_err(RecordingError::table(path))?;
+            *file = next;
+        }
         self.segment += 1;
+        self.position = 0;
         Ok(())
     }
 }
@@ -190,7 +259,8 @@ fn segments(
         return Err(RecordingError::UnknownLayout { path: path.to_owned() });
     }
     let cue = three_dc.and_then(|(_, number)| three_dc::gesture(number));
-    Ok(vec![Segment { file: path.to_owned(), three_dc, cue }])
+    let repetition = three_dc.map(|(repetition, _)| repetition);
+    Ok(vec![Segment { file: path.to_owned(), repetition, cue, end_sample: None }])
 }
 
 fn folder_segments(
@@ -225,8 +295,9 @@ fn folder_segments(
         }
         segments.extend(files.into_iter().map(|(number, file)| Segment {
             file,
-            three_dc: Some((repetition, number)),
+            repetition: Some(repetition),
             cue: three_dc::gesture(number),
+            end_sample: None,
         }));
     }
     Ok(segments)
@@ -261,10 +332,10 @@ pub struct Summary {
     pub notices: Vec<Notice>,
 }
 
-/// The part of a recording that one file, and so one cue, holds.
+/// The part of a recording that one segment, and so one cue, holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CueSpan {
-    /// The file and its cue.
+    /// The segment and its cue.
     pub segment: Segment,
     /// Index of its first sample.
     pub first_sample: u64,
@@ -295,7 +366,10 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         samples,
         sample_rate_hz,
         duration_s: samples as f64 / sample_rate_hz,
-        file_channels: source.table.columns(),
+        file_channels: match &source.samples {
+            Samples::Table { table, .. } => table.columns(),
+            Samples::Columns(columns) => columns.len(),
+        },
         cues,
         notices: source.notices,
     })

@@ -21,6 +21,42 @@ pub const SAMPLE_RATE_HZ: f64 = 1000.0;
 /// Gestures of a repetition, numbered from 0.
 pub(crate) const GESTURES: u32 = 11;
 
+/// When a 3DC recording was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Session {
+    Train,
+    Test,
+}
+
+impl Session {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Session::Train => "train",
+            Session::Test => "test",
+        }
+    }
+
+    /// Repetitions of the person before this session: each has four.
+    pub(crate) fn repetitions_before(self) -> u32 {
+        match self {
+            Session::Train => 0,
+            Session::Test => 4,
+        }
+    }
+}
+
+/// Person and session of a folder `…/ParticipantP/{train,test}/EMG`.
+pub(crate) fn origin(folder: &Path) -> Option<(u16, Session)> {
+    let session_folder = folder.parent()?;
+    let session = match session_folder.file_name()?.to_str()? {
+        "train" => Session::Train,
+        "test" => Session::Test,
+        _ => return None,
+    };
+    let person = session_folder.parent()?.file_name()?.to_str()?.strip_prefix("Participant")?.parse().ok()?;
+    Some((person, session))
+}
+
 /// Repetition and gesture number in a file's name, if it is a 3DC recording's.
 pub(crate) fn parse_file_name(path: &Path) -> Option<(u32, u32)> {
     let numbers = path.file_name()?.to_str()?.strip_prefix("3dc_EMG_gesture_")?.strip_suffix(".txt")?;

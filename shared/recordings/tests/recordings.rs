@@ -438,6 +438,43 @@ fn a_data_set_is_cut_as_its_manifest_says() {
 }
 
 #[test]
+fn what_is_cut_in_passing_is_what_a_data_set_holds() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder =
+        write_three_dc(temporary.path(), &[(0, 0, 1500), (0, 1, 900), (0, 7, 500), (0, 9, 400), (1, 4, 900)]);
+    let settings = DatasetSettings {
+        channels: vec![Channel::Index(1), Channel::Index(0)],
+        ..DatasetSettings::default()
+    };
+    let out = temporary.path().join("out");
+    let folders = [folder];
+    let manifest = dataset::build(&settings, &folders, &out, &mut |_| {}).unwrap();
+    let stored = StoredDataset::open(&out).unwrap();
+
+    let (mut index, mut trials, mut skipped) = (0, 0, Vec::new());
+    for recording in &dataset::list(&folders).unwrap().recordings {
+        let mut trials_of_windows = Vec::new();
+        let cut = dataset::cut(&settings, recording, &mut |window| {
+            assert_eq!(window.samples, stored.window(index));
+            assert_eq!((window.gesture, window.person), (stored.gesture(index), stored.person(index)));
+            assert_eq!(window.repetition, stored.repetition(index));
+            let entry = &manifest.recordings[trials + window.trial];
+            let number = index as u64 - entry.first_window;
+            assert_eq!(window.start_sample, entry.start_sample + 150 * number as usize);
+            trials_of_windows.push(window.trial);
+            index += 1;
+        })
+        .unwrap();
+        assert!(trials_of_windows.is_sorted());
+        assert_eq!(trials_of_windows.last(), Some(&(cut.trials.len() - 1)));
+        trials += cut.trials.len();
+        skipped.extend(cut.skipped);
+    }
+    assert_eq!((index, trials), (stored.len(), manifest.recordings.len()));
+    assert_eq!(skipped, manifest.skipped);
+}
+
+#[test]
 fn a_data_set_whose_parts_do_not_fit_is_refused_by_name() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = write_three_dc(temporary.path(), &[(0, 0, 1500), (0, 4, 1500)]);
