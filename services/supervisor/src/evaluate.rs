@@ -1,4 +1,10 @@
-//! `tendon evaluate`: how well a model recognises the windows of a data set, by the code that runs live.
+//! `tendon evaluate`: how well a model recognises windows, by the code that runs live.
+//!
+//! ```text
+//! data set ──▶ windows ──┐
+//!                        ├─▶ model ─▶ tally ─▶ scores: text, JSON, figures
+//! recordings ─▶ cut ─────┘
+//! ```
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -7,9 +13,12 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use serde::Serialize;
-use tendon_classifier::{Classifier, WindowSource};
+use tendon_classifier::{Classifier, Contract, WindowSource};
 use tendon_evaluation::{Answer, Evaluation, Origin, Tally, confusion_figure, latency_figure};
-use tendon_recordings::StoredDataset;
+use tendon_gesture::Gesture;
+use tendon_recordings::dataset::{DatasetSettings, cut, list};
+use tendon_recordings::{Channel, StoredDataset};
+use tendon_signal::WindowSettings;
 
 use crate::Failure;
 use crate::run::write_json;
@@ -17,9 +26,10 @@ use crate::run::write_json;
 /// Command line of `tendon evaluate`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Data set that `tendon dataset build` wrote.
-    #[arg(value_name = "FOLDER")]
-    dataset: PathBuf,
+    /// A data set that `tendon dataset build` wrote; or recordings, which are then cut into windows as
+    /// `tendon dataset build` does by default, without writing them.
+    #[arg(required = true, value_name = "PATH")]
+    paths: Vec<PathBuf>,
     /// The ONNX model.
     #[arg(long, value_name = "FILE")]
     model: PathBuf,
@@ -27,6 +37,9 @@ pub struct Options {
     /// well it does for somebody new.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<u16>,
+    /// Of recordings: channels, in this order.
+    #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
+    channels: Vec<usize>,
     /// ONNX Runtime's shared library; without it, ORT_DYLIB_PATH, then what scripts/fetch-onnxruntime fetched.
     #[arg(long, value_name = "FILE")]
     runtime_library: Option<PathBuf>,
@@ -40,16 +53,24 @@ pub struct Options {
 
 /// What `--json` writes.
 #[derive(Debug, Serialize)]
-struct Scores<'a> {
-    model: &'a Path,
-    dataset: &'a Path,
-    people: Vec<u16>,
-    /// Time that all windows took, reading included, s.
-    duration_s: f64,
+pub struct Scores {
+    /// The ONNX file.
+    pub model: PathBuf,
+    /// A data set, or recordings.
+    pub paths: Vec<PathBuf>,
+    /// Who was scored.
+    pub people: BTreeSet<u16>,
+    /// What the model's training got on its validation windows, if the model says so.
+    pub validation_accuracy: Option<f64>,
+    /// Recordings that could not be used, and why.
+    pub skipped: Vec<String>,
+    /// Time from the first byte to the last class, s.
+    pub duration_s: f64,
     /// Seconds of signal for every second.
-    x_real_time: f64,
+    pub x_real_time: f64,
+    /// The scores.
     #[serde(flatten)]
-    evaluation: Evaluation,
+    pub evaluation: Evaluation,
 }
 
 /// Windows between two looks at the clock for the progress line, and at memory that is no longer needed.
@@ -61,71 +82,163 @@ const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
 pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let library =
         tendon_classifier::runtime_library(options.runtime_library.as_deref()).map_err(Failure::input)?;
-    let mut dataset = StoredDataset::open(&options.dataset).map_err(Failure::input)?;
-    let mut classifier = Classifier::load(&library, &options.model).map_err(Failure::input)?;
-    let contract = classifier.contract().clone();
-    let known: Vec<u16> = dataset.manifest().windows_per_person.keys().copied().collect();
-    let people = chosen_people(&known, &options.people, &contract.people_trained).map_err(Failure::input)?;
-    let settings = &dataset.manifest().settings;
-    let source = WindowSource {
-        name: "the data set",
-        channels: settings.channels.len(),
-        sample_rate_hz: settings.sample_rate_hz,
-        window_samples: settings.windows.window_samples,
-        // Successive windows of a recording lie one after the other in the array.
-        sequence_windows: usize::MAX,
-        filter: settings.filter.as_ref(),
-        input: settings.input,
+    let classifier = Classifier::load(&library, &options.model).map_err(Failure::input)?;
+    let provenance = classifier.contract().provenance.clone();
+    let (scores, tally) = match &options.paths[..] {
+        [folder] if StoredDataset::is_one(folder) => score_dataset(classifier, folder, &options.people)?,
+        paths => score_recordings(classifier, paths, &options.channels, &options.people)?,
     };
-    classifier.check_fit(&source).map_err(Failure::input)?;
-
-    let start = Instant::now();
-    let tally = classify_all(&mut classifier, &mut dataset, &people).map_err(Failure::running)?;
-    let duration_s = start.elapsed().as_secs_f64();
-    let evaluation = tally.evaluate();
-    if evaluation.windows == 0 {
-        let classes = evaluation.classes.join(", ");
-        let error =
-            anyhow!("{}: holds no window of what the model knows ({classes})", options.dataset.display());
-        return Err(Failure::input(error));
-    }
-    let settings = &dataset.manifest().settings;
-    let increment_s = settings.windows.increment_samples as f64 / settings.sample_rate_hz;
-    let x_real_time = evaluation.windows as f64 * increment_s / duration_s;
-    println!("{} on {}, {} people", options.model.display(), options.dataset.display(), people.len());
-    if let Some(provenance) = &contract.provenance {
+    let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
+    println!("{} on people {}", options.model.display(), people.join(", "));
+    if let Some(provenance) = provenance {
         println!("the model: {provenance}");
     }
-    let left_out: Vec<String> =
-        known.iter().filter(|person| !people.contains(person)).map(ToString::to_string).collect();
-    if options.people.is_empty() && !left_out.is_empty() {
-        println!("left out, because the model was trained on them: people {}", left_out.join(", "));
+    println!("\n{}", scores.evaluation);
+    if !scores.skipped.is_empty() {
+        println!("{} recordings or trials left out:", scores.skipped.len());
+        scores.skipped.iter().for_each(|skipped| println!("  {skipped}"));
     }
-    println!("\n{evaluation}");
-    println!("{duration_s:.1} s in all, {x_real_time:.0} times faster than real time");
-
+    println!("{:.1} s in all, {:.0} times faster than real time", scores.duration_s, scores.x_real_time);
     if let Some(folder) = &options.figures {
-        write_figures(folder, &options.model, &classifier, &tally).map_err(Failure::running)?;
+        write_figures(folder, &options.model, &tally).map_err(Failure::running)?;
+        println!("figures in {}", folder.display());
     }
     if let Some(path) = &options.json {
-        let scores = Scores {
-            model: &options.model,
-            dataset: &options.dataset,
-            people: people.into_iter().collect(),
-            duration_s,
-            x_real_time,
-            evaluation,
-        };
         write_json(path, &scores).map_err(Failure::running)?;
     }
     Ok(())
 }
 
-/// The people to score among the `known` ones.
-fn chosen_people(known: &[u16], wanted: &[u16], trained: &[u16]) -> anyhow::Result<BTreeSet<u16>> {
-    let list = |people: &[u16]| people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+/// Scores `classifier` on the data set in `folder`.
+///
+/// # Errors
+///
+/// When the data set cannot be read, does not fit the model, or holds nothing for it.
+pub fn score_dataset(
+    classifier: Classifier,
+    folder: &Path,
+    wanted: &[u16],
+) -> Result<(Scores, Tally), Failure> {
+    let mut dataset = StoredDataset::open(folder).map_err(Failure::input)?;
+    let settings = dataset.manifest().settings.clone();
+    let source = WindowSource {
+        name: "the data set",
+        channels: settings.channels.len(),
+        sample_rate_hz: settings.sample_rate_hz,
+        window_samples: settings.windows.window_samples,
+        sequence_windows: usize::MAX,
+        filter: settings.filter.as_ref(),
+        input: settings.input,
+    };
+    classifier.check_fit(&source).map_err(Failure::input)?;
+    let known = dataset.manifest().windows_per_person.keys().copied().collect();
+    let trained = classifier.contract().people_trained.iter().copied().collect();
+    let people = chosen_people(&known, wanted, &trained).map_err(Failure::input)?;
+    let mut scorer = Scorer::new(classifier, people);
+    let windows = dataset.len();
+    for index in 0..windows {
+        if index % WINDOWS_A_ROUND == 0 {
+            dataset.release_before(index);
+            scorer.show_progress(|| format!("{index} of {windows} windows"));
+        }
+        let window = Window {
+            samples: dataset.window(index),
+            gesture: dataset.gesture(index),
+            person: dataset.person(index),
+            repetition: dataset.repetition(index),
+            trial: u64::from(dataset.recording(index)),
+        };
+        scorer.take(&window).with_context(|| format!("window {index}")).map_err(Failure::running)?;
+    }
+    scorer.finish(vec![folder.to_owned()], &settings, Vec::new())
+}
+
+/// Scores `classifier` on the windows that are cut from the recordings at or below `paths`.
+///
+/// # Errors
+///
+/// When there are no recordings, or none of what the model knows.
+pub fn score_recordings(
+    classifier: Classifier,
+    paths: &[PathBuf],
+    channels: &[usize],
+    wanted: &[u16],
+) -> Result<(Scores, Tally), Failure> {
+    let contract = classifier.contract();
+    let settings = DatasetSettings {
+        channels: channels.iter().copied().map(Channel::Index).collect(),
+        sample_rate_hz: contract.sample_rate_hz,
+        filter: Some(contract.filter.clone()),
+        input: contract.input,
+        windows: WindowSettings {
+            window_samples: contract.window_samples,
+            increment_samples: (contract.window_samples / 4).max(1),
+        },
+        ..DatasetSettings::default()
+    };
+    let source = WindowSource {
+        name: "--channels",
+        channels: channels.len(),
+        sample_rate_hz: contract.sample_rate_hz,
+        window_samples: contract.window_samples,
+        sequence_windows: usize::MAX,
+        filter: None,
+        input: contract.input,
+    };
+    classifier.check_fit(&source).map_err(Failure::input)?;
+    let found = list(paths).map_err(Failure::input)?;
+    let known = found.recordings.iter().map(|recording| recording.person).collect();
+    let trained = contract.people_trained.iter().copied().collect();
+    let people = chosen_people(&known, wanted, &trained).map_err(Failure::input)?;
+    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let recordings: Vec<_> =
+        found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
+    let mut scorer = Scorer::new(classifier, people);
+    let mut trials_before = 0;
+    for (index, recording) in recordings.iter().enumerate() {
+        scorer.show_progress(|| format!("{index} of {} recordings", recordings.len()));
+        // A recording that cannot be read to its end counts for nothing.
+        let before = scorer.tally.clone();
+        let mut result = Ok(());
+        let cut = cut(&settings, recording, &mut |window| {
+            if result.is_ok() {
+                result = scorer.take(&Window {
+                    samples: window.samples,
+                    gesture: window.gesture,
+                    person: window.person,
+                    repetition: window.repetition,
+                    trial: trials_before + window.trial as u64,
+                });
+            }
+        });
+        result.with_context(|| recording.path.display().to_string()).map_err(Failure::running)?;
+        match cut {
+            Ok(cut) => {
+                trials_before += cut.trials.len() as u64;
+                skipped.extend(cut.skipped.iter().map(ToString::to_string));
+            }
+            Err(error) => {
+                scorer.tally = before;
+                skipped.push(error.to_string());
+            }
+        }
+    }
+    scorer.finish(paths.to_vec(), &settings, skipped)
+}
+
+/// The people to score among the `known` ones: those `wanted`, or else all; but none whom a model was `trained` on.
+///
+/// # Errors
+///
+/// When somebody wanted is not known or was trained on, or nobody is left.
+pub fn chosen_people(
+    known: &BTreeSet<u16>,
+    wanted: &[u16],
+    trained: &BTreeSet<u16>,
+) -> anyhow::Result<BTreeSet<u16>> {
+    let list = |people: &BTreeSet<u16>| people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     for person in wanted {
-        ensure!(known.contains(person), "--people {person}: the data set has only {}", list(known));
+        ensure!(known.contains(person), "--people {person}: there are only {}", list(known));
         ensure!(
             !trained.contains(person),
             "--people {person}: the model was trained on {}, so a score on any of them says nothing about somebody \
@@ -133,67 +246,141 @@ fn chosen_people(known: &[u16], wanted: &[u16], trained: &[u16]) -> anyhow::Resu
             list(trained)
         );
     }
-    let candidates = if wanted.is_empty() { known } else { wanted };
     let people: BTreeSet<u16> =
-        candidates.iter().copied().filter(|person| !trained.contains(person)).collect();
+        if wanted.is_empty() { known - trained } else { wanted.iter().copied().collect() };
     ensure!(
         !people.is_empty(),
-        "the model was trained on everybody in the data set ({}): build one with others, or hold people out of the \
-         training (tendon dataset build --test-people)",
+        "the model was trained on everybody here ({}): give recordings of others, or hold people out of the training \
+         (tendon dataset build --test-people)",
         list(known)
     );
     Ok(people)
 }
 
-fn classify_all(
-    classifier: &mut Classifier,
-    dataset: &mut StoredDataset,
-    people: &BTreeSet<u16>,
-) -> anyhow::Result<Tally> {
-    let classes = classifier.contract().classes.clone();
-    let mut tally = Tally::new(&classes);
-    let mut probabilities = vec![0.0; classes.len()];
-    let mut next_progress = Instant::now() + PROGRESS_INTERVAL;
-    for index in 0..dataset.len() {
-        if index % WINDOWS_A_ROUND == 0 {
-            dataset.release_before(index);
-            if Instant::now() >= next_progress {
-                next_progress += PROGRESS_INTERVAL;
-                show_progress(index, dataset.len());
-            }
-        }
-        let person = dataset.person(index);
-        if !people.contains(&person) {
-            continue;
-        }
-        let Some(truth) = tally.class_of(dataset.gesture(index)) else { continue };
-        let start = Instant::now();
-        let by_gesture =
-            classifier.classify(dataset.window(index)).with_context(|| format!("window {index}"))?;
-        let work_ns = start.elapsed().as_nanos() as u64;
-        for (probability, gesture) in probabilities.iter_mut().zip(&classes) {
-            *probability = by_gesture[gesture.index()];
-        }
-        let origin = Origin { person, repetition: dataset.repetition(index) };
-        tally.record(truth, origin, Answer { probabilities: &probabilities, work_ns });
-    }
-    Ok(tally)
+/// A window to be scored.
+struct Window<'a> {
+    /// Channel-major `[channels × samples]`.
+    samples: &'a [f32],
+    gesture: Gesture,
+    person: u16,
+    repetition: u8,
+    /// What tells windows of one trial from those of the next.
+    trial: u64,
 }
 
-fn write_figures(folder: &Path, model: &Path, classifier: &Classifier, tally: &Tally) -> anyhow::Result<()> {
+/// A model being scored, window by window.
+struct Scorer {
+    classifier: Classifier,
+    people: BTreeSet<u16>,
+    tally: Tally,
+    /// The last windows of the current trial, for a model of sequences.
+    sequence: Vec<f32>,
+    trial: Option<u64>,
+    /// How many windows of the current trial have come.
+    windows_of_trial: usize,
+    start: Instant,
+    next_progress: Instant,
+}
+
+impl Scorer {
+    fn new(classifier: Classifier, people: BTreeSet<u16>) -> Scorer {
+        let Contract { channels, window_samples, sequence_windows, ref classes, .. } = *classifier.contract();
+        let tally = Tally::new(classes);
+        let start = Instant::now();
+        Scorer {
+            sequence: vec![0.0; sequence_windows * channels * window_samples],
+            classifier,
+            people,
+            tally,
+            trial: None,
+            windows_of_trial: 0,
+            start,
+            next_progress: start + PROGRESS_INTERVAL,
+        }
+    }
+
+    fn take(&mut self, window: &Window<'_>) -> anyhow::Result<()> {
+        if !self.people.contains(&window.person) {
+            return Ok(());
+        }
+        let Some(truth) = self.tally.class_of(window.gesture) else { return Ok(()) };
+        let start = Instant::now();
+        let input = if self.sequence.len() == window.samples.len() {
+            window.samples
+        } else {
+            if self.trial.replace(window.trial) != Some(window.trial) {
+                self.windows_of_trial = 0;
+            }
+            self.windows_of_trial += 1;
+            self.sequence.copy_within(window.samples.len().., 0);
+            let newest = self.sequence.len() - window.samples.len();
+            self.sequence[newest..].copy_from_slice(window.samples);
+            if self.windows_of_trial < self.sequence.len() / window.samples.len() {
+                return Ok(());
+            }
+            &self.sequence
+        };
+        let probabilities = self.classifier.classify(input)?;
+        let work_ns = start.elapsed().as_nanos() as u64;
+        let origin = Origin { person: window.person, repetition: window.repetition };
+        self.tally.record(truth, origin, Answer { probabilities, work_ns });
+        Ok(())
+    }
+
+    #[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
+    fn show_progress(&mut self, done: impl FnOnce() -> String) {
+        if Instant::now() >= self.next_progress {
+            self.next_progress += PROGRESS_INTERVAL;
+            eprintln!("{}", done());
+        }
+    }
+
+    fn finish(
+        self,
+        paths: Vec<PathBuf>,
+        settings: &DatasetSettings,
+        skipped: Vec<String>,
+    ) -> Result<(Scores, Tally), Failure> {
+        let duration_s = self.start.elapsed().as_secs_f64();
+        let evaluation = self.tally.evaluate();
+        if evaluation.windows == 0 {
+            let classes = evaluation.classes.join(", ");
+            let reasons = match &skipped[..] {
+                [] => String::new(),
+                [first, ..] => format!("; {} left out, the first because: {first}", skipped.len()),
+            };
+            let error =
+                anyhow!("{}: no window of what the model knows ({classes}){reasons}", paths[0].display());
+            return Err(Failure::input(error));
+        }
+        let increment_s = settings.windows.increment_samples as f64 / settings.sample_rate_hz;
+        let scores = Scores {
+            model: self.classifier.path().to_owned(),
+            paths,
+            people: self.people,
+            validation_accuracy: self.classifier.contract().validation_accuracy,
+            skipped,
+            duration_s,
+            x_real_time: evaluation.windows as f64 * increment_s / duration_s,
+            evaluation,
+        };
+        Ok((scores, self.tally))
+    }
+}
+
+/// Writes the confusion matrix and the histogram of work into `folder`, named after `model`.
+///
+/// # Errors
+///
+/// When the folder or a figure cannot be written.
+pub fn write_figures(folder: &Path, model: &Path, tally: &Tally) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let name = model.file_stem().unwrap_or_default().to_string_lossy();
     for ending in ["png", "svg"] {
         let path = |figure: &str| folder.join(format!("{name}-{figure}.{ending}"));
-        confusion_figure(&path("confusion"), &name, &classifier.contract().classes, tally.confusion())?;
+        confusion_figure(&path("confusion"), &name, tally.classes(), tally.confusion())?;
         latency_figure(&path("work"), &format!("{name}: time for a window"), tally.work())?;
     }
-    println!("figures in {}", folder.display());
     Ok(())
-}
-
-#[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
-fn show_progress(done: usize, windows: usize) {
-    eprintln!("{done} of {windows} windows");
 }

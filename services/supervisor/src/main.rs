@@ -17,6 +17,7 @@ mod profile;
 mod resources;
 mod run;
 mod screen;
+mod strategies;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -47,6 +48,8 @@ enum Command {
     Dataset(dataset::Command),
     /// Score a model on a data set: accuracy, per-class scores, confusion matrix, figures.
     Evaluate(evaluate::Options),
+    /// Score the three real-time strategies on continuous recordings with cues.
+    Strategies(strategies::Options),
 }
 
 /// An error with the exit code it leads to: 2 for bad input, 1 for what broke off later.
@@ -74,6 +77,7 @@ fn main() -> ExitCode {
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),
         Command::Evaluate(options) => evaluate::evaluate(&options),
+        Command::Strategies(options) => strategies::score(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

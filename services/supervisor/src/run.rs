@@ -106,12 +106,26 @@ enum PaceOption {
     Full,
 }
 
+/// A strategy on the command line.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum StrategyOption {
+pub enum StrategyOption {
+    /// Activity detector, then five gestures.
     Threshold,
+    /// A model of rest and move, then five gestures.
     #[value(name = "two_stage", alias = "two-stage")]
     TwoStage,
+    /// Six classes, rest among them.
     Direct,
+}
+
+impl From<StrategyOption> for Strategy {
+    fn from(option: StrategyOption) -> Strategy {
+        match option {
+            StrategyOption::Threshold => Strategy::Threshold,
+            StrategyOption::TwoStage => Strategy::TwoStage,
+            StrategyOption::Direct => Strategy::Direct,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -171,11 +185,7 @@ impl Options {
             acquisition.simulate.seed = seed;
         }
         if let Some(strategy) = self.strategy {
-            config.decision.strategy = match strategy {
-                StrategyOption::Threshold => Strategy::Threshold,
-                StrategyOption::TwoStage => Strategy::TwoStage,
-                StrategyOption::Direct => Strategy::Direct,
-            };
+            config.decision.strategy = strategy.into();
         }
         if let Some(model) = &self.model {
             config.inference.model = Some(model.clone());

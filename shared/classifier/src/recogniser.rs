@@ -5,7 +5,7 @@ use std::path::Path;
 use tendon_gesture::{Class, Gesture, Strategy};
 
 use crate::locate::model_beside_program;
-use crate::{Classifier, ClassifierError, Contract, WindowSource};
+use crate::{Classifier, ClassifierError, WindowSource};
 
 /// File name of the model that comes with Tendon to recognise gestures by `strategy`.
 pub const fn default_model_file(strategy: Strategy) -> &'static str {
@@ -105,9 +105,10 @@ impl Recogniser {
         rest_move.chain([self.gestures.path()]).collect()
     }
 
-    /// The contract of the model that tells the gestures apart.
-    pub fn contract(&self) -> &Contract {
-        self.gestures.contract()
+    /// Numbers of the people whom the models were trained on, as far as they say so.
+    pub fn people_trained(&self) -> Vec<u16> {
+        let rest_move = self.rest_move.iter().map(|rest_move| &rest_move.classifier);
+        rest_move.chain([&self.gestures]).flat_map(|model| model.contract().people_trained.clone()).collect()
     }
 
     /// The probability of every gesture by class number, 0 for those that the model does not know. Of the two

@@ -88,6 +88,11 @@ impl Tally {
         self.work.saturating_record(answer.work_ns);
     }
 
+    /// The classes, in the order of the classifier's outputs.
+    pub fn classes(&self) -> &[Class] {
+        &self.classes
+    }
+
     /// Time that each answer took, ns.
     pub fn work(&self) -> &Histogram<u64> {
         &self.work

@@ -23,6 +23,7 @@
 //! | `manifest.json` | [`Manifest`]: settings, counts, and what became of each file |
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs::{self, File};
 use std::io;
 use std::ops::ControlFlow;
@@ -223,6 +224,12 @@ pub struct SkippedEntry {
     pub path: PathBuf,
     /// Why.
     pub reason: String,
+}
+
+impl fmt::Display for SkippedEntry {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}: {}", self.path.display(), self.reason)
+    }
 }
 
 /// How far [`build`] has come: told after each recording.

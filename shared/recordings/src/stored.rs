@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
 
-use crate::dataset::{LABELS, MANIFEST, Manifest, PEOPLE, REPETITIONS, WINDOWS};
+use crate::dataset::{LABELS, MANIFEST, Manifest, PEOPLE, RECORDINGS, REPETITIONS, WINDOWS};
 use crate::npy::{Element, MappedArray};
 
 /// Why a data set cannot be read.
@@ -23,9 +23,15 @@ pub struct StoredDataset {
     labels: MappedArray<u8>,
     people: MappedArray<u16>,
     repetitions: MappedArray<u8>,
+    recordings: MappedArray<u32>,
 }
 
 impl StoredDataset {
+    /// Whether `folder` holds a complete data set.
+    pub fn is_one(folder: &Path) -> bool {
+        folder.join(MANIFEST).is_file()
+    }
+
     /// Opens the data set in `folder`. Only a complete one has its manifest.
     ///
     /// # Errors
@@ -46,6 +52,7 @@ impl StoredDataset {
             labels: open_array(folder, LABELS, 0)?,
             people: open_array(folder, PEOPLE, 0)?,
             repetitions: open_array(folder, REPETITIONS, 0)?,
+            recordings: open_array(folder, RECORDINGS, 0)?,
             windows,
             manifest,
         };
@@ -54,6 +61,7 @@ impl StoredDataset {
             (LABELS, dataset.labels.rows()),
             (PEOPLE, dataset.people.rows()),
             (REPETITIONS, dataset.repetitions.rows()),
+            (RECORDINGS, dataset.recordings.rows()),
         ];
         for (name, rows) in rows {
             if rows as u64 != dataset.manifest.windows {
@@ -104,6 +112,11 @@ impl StoredDataset {
     /// Repetition of the gesture, counted through all sessions of the person.
     pub fn repetition(&self, index: usize) -> u8 {
         self.repetitions.row(index)[0]
+    }
+
+    /// The window's recording: its place in the manifest's `recordings`.
+    pub fn recording(&self, index: usize) -> u32 {
+        self.recordings.row(index)[0]
     }
 
     /// Says that all windows before `index` have been read, so that a large data set does not pile up in this

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::dataset::{DatasetError, DatasetSettings, SkippedEntry};
 use crate::error::RecordingError;
+use crate::replay::ReplayStream;
 use crate::source::{RecordingSettings, RecordingSource};
 use crate::three_dc;
 
@@ -51,6 +52,18 @@ impl Recording {
                 RecordingSource::open(&self.path, &settings)
             }
         }
+    }
+
+    /// Opens it to be replayed in blocks of `block_samples`, at the rate of `settings` and with its channels.
+    ///
+    /// # Errors
+    /// When it cannot be opened, or its rate cannot be brought to that of `settings`.
+    pub fn stream(
+        &self,
+        settings: &DatasetSettings,
+        block_samples: usize,
+    ) -> Result<ReplayStream, RecordingError> {
+        ReplayStream::of(self.open(settings)?, settings.sample_rate_hz, block_samples)
     }
 
     /// A repetition of this session, counted through all sessions of the person.
