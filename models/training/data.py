@@ -2,7 +2,7 @@
 
     windows.npy    float32 [n, channels, samples]     splits.npy      uint8  [n]  0 training, 1 validation, 2 test
     labels.npy     uint8   [n]  the gesture's number  recordings.npy  uint32 [n]  the window's recording
-    people.npy     uint16  [n]                        manifest.json   settings and statistics
+    people.npy     uint16  [n]                        manifest.json   settings; sums of each gesture's training samples
 """
 
 import json
@@ -56,10 +56,10 @@ class Dataset:
         recordings = np.load(folder / "recordings.npy")
 
         if classes == CLASS_SETS["rest-move"]:
-            class_of_gesture = [0, 1, 1, 1, 1, 1]
+            self.class_of_gesture = [0, 1, 1, 1, 1, 1]
         else:
-            class_of_gesture = [classes.index(name) if name in classes else -1 for name in GESTURES]
-        self.labels = np.array(class_of_gesture)[np.load(folder / "labels.npy")]
+            self.class_of_gesture = [classes.index(name) if name in classes else -1 for name in GESTURES]
+        self.labels = np.array(self.class_of_gesture)[np.load(folder / "labels.npy")]
 
         before = sequence_windows - 1
         has_all = np.ones(len(recordings), dtype=bool)
@@ -88,12 +88,11 @@ class Dataset:
         return self.windows[newest[:, None] + np.arange(1 - self.sequence_windows, 1)]
 
     def channel_statistics(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation of each channel over the training windows, summed in float64."""
-        total = squares = 0.0
-        for part in np.array_split(self.training, max(1, len(self.training) // 4096)):
-            windows = self.windows[part].astype(np.float64)
-            total += windows.sum(axis=(0, 2))
-            squares += (windows**2).sum(axis=(0, 2))
-        count = len(self.training) * self.windows.shape[2]
-        mean = total / count
-        return mean.astype(np.float32), np.sqrt(squares / count - mean**2).astype(np.float32)
+        """Mean and standard deviation of each channel over the training windows of the classes."""
+        gestures = [name for name, label in zip(GESTURES, self.class_of_gesture) if label >= 0]
+        per_gesture = self.manifest["training_statistics"]["per_gesture"]
+        statistics = [per_gesture[name] for name in gestures if name in per_gesture]
+        count = sum(entry["windows"] for entry in statistics) * self.windows.shape[2]
+        mean = sum(np.array(entry["sum"]) for entry in statistics) / count
+        variance = sum(np.array(entry["sum_of_squares"]) for entry in statistics) / count - mean**2
+        return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)

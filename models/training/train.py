@@ -148,7 +148,8 @@ def write_smoke_dataset(folder: Path) -> None:
     splits = np.where(people == 3, 2, np.arange(len(labels)) % 5 == 0).astype(np.uint8)
     amplitudes = rng.uniform(5, 500, (6, 4)).astype(np.float32)
     noise = np.abs(rng.standard_normal((len(labels), 4, 600), dtype=np.float32))
-    np.save(folder / "windows.npy", noise * amplitudes[labels][:, :, None])
+    windows = noise * amplitudes[labels][:, :, None]
+    np.save(folder / "windows.npy", windows)
     np.save(folder / "labels.npy", labels)
     np.save(folder / "people.npy", people)
     np.save(folder / "splits.npy", splits)
@@ -160,7 +161,13 @@ def write_smoke_dataset(folder: Path) -> None:
         "input": "envelope",
         "windows": {"window_samples": 600, "increment_samples": 150},
     }
-    (folder / "manifest.json").write_text(json.dumps({"settings": settings}))
+    per_gesture = {}
+    for label, name in enumerate(GESTURES):
+        own = windows[(labels == label) & (splits == 0)].astype(np.float64)
+        sums = {"sum": own.sum(axis=(0, 2)).tolist(), "sum_of_squares": (own**2).sum(axis=(0, 2)).tolist()}
+        per_gesture[name] = {"windows": len(own)} | sums
+    manifest = {"settings": settings, "training_statistics": {"per_gesture": per_gesture}}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
 def smoke(arguments) -> None:

@@ -1,12 +1,16 @@
 //! `tendon dataset build`: recordings to windows that models are trained on.
 
-use std::path::PathBuf;
-use std::time::Instant;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
 use tendon_recordings::Channel;
-use tendon_recordings::dataset::{DatasetSettings, OnsetStatistics, Progress};
+use tendon_recordings::dataset::{
+    BuildSettings, DatasetSettings, Manifest, OnsetStatistics, Progress, SplitEntry,
+};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
@@ -14,14 +18,30 @@ use crate::Failure;
 /// Commands of `tendon dataset`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Cut recordings of the 3DC layout into windows, through the same filter as live.
+    /// Cut recordings into windows to train on, through the same filter as live.
+    ///
+    /// What lies at or below each FOLDER tells the layout:
+    ///
+    /// * 3DC: folders ParticipantP/train/EMG and ParticipantP/test/EMG with files 3dc_EMG_gesture_R_G.txt, 1000 Hz.
+    ///
+    /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD; saved with `save -v7`), or files
+    ///   P<person>_C<cycle>_G<gesture>.csv, one a trial; 2000 Hz. Those in a folder `filtered` need --filtered.
+    ///
+    /// * Your own: tables (.csv, .tsv, .txt; a line a sample, a column a channel) and beside them labels.csv with the
+    ///   header file,person,session,repetition,gesture,start_sample,end_sample. Give --recording-rate-hz. Session may
+    ///   be left out, and start and end where the whole file is one trial. Gestures: rest, extension, flexion, ulnar,
+    ///   radial, grip.
+    ///
+    /// What cannot be used is left out and listed in manifest.json with the reason. A build that was interrupted goes
+    /// on when the same command is given again.
+    #[command(verbatim_doc_comment)]
     Build(BuildOptions),
 }
 
 /// Command line of `tendon dataset build`.
 #[derive(Debug, Args)]
 pub struct BuildOptions {
-    /// Folders of the 3DC layout, …/ParticipantP/train/EMG, or folders above such.
+    /// Folders with recordings of one layout, or folders above such; also single .mat and .csv files.
     #[arg(required = true, value_name = "FOLDER")]
     recordings: Vec<PathBuf>,
     /// Folder for the arrays (windows.npy and what belongs to each window) and manifest.json.
@@ -30,6 +50,9 @@ pub struct BuildOptions {
     /// Channels, in this order.
     #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
     channels: Vec<usize>,
+    /// Sampling rate of recordings that do not tell it, Hz: needed with labels.csv.
+    #[arg(long, value_name = "HZ")]
+    recording_rate_hz: Option<f64>,
     /// Sampling rate of the windows, Hz.
     #[arg(long, default_value_t = 2000.0)]
     sample_rate_hz: f64,
@@ -54,6 +77,16 @@ pub struct BuildOptions {
     /// Where a movement is taken to begin if no onset is found, ms from the cue; 0 keeps the whole recording.
     #[arg(long, default_value_t = 500.0)]
     fallback_ms: f64,
+    /// People held out for the test, by number: all of their windows, and nobody else's. 3DC's 13 and 14 only
+    /// together.
+    #[arg(long, value_name = "P,…", value_delimiter = ',')]
+    test_people: Vec<u16>,
+    /// Seed of the choice of windows for validation: 20 % of those of each gesture that are not for the test.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Recordings read at a time [default: one a processor, up to 8]. The data set does not depend on it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
 }
 
 /// What windows hold.
@@ -79,6 +112,7 @@ impl BuildOptions {
         let default = DatasetSettings::default();
         DatasetSettings {
             channels: self.channels.iter().copied().map(Channel::Index).collect(),
+            recording_rate_hz: self.recording_rate_hz,
             sample_rate_hz: self.sample_rate_hz,
             filter: default.filter.filter(|_| !self.filtered),
             input: match self.input {
@@ -103,14 +137,42 @@ impl BuildOptions {
     }
 }
 
+/// Builds a data set and shows how far it has come; beside the manifest, how many windows an earlier build had made.
+///
+/// # Errors
+///
+/// As [`tendon_recordings::dataset::build`].
+pub fn build_shown(
+    settings: &DatasetSettings,
+    building: &BuildSettings,
+    recordings: &[PathBuf],
+    out: &Path,
+) -> Result<(Manifest, u64), Failure> {
+    let mut display = Display::new();
+    let mut resumed_windows = 0;
+    let mut show = |progress: Progress<'_>| {
+        if let Progress::Begun { windows, .. } = progress {
+            resumed_windows = windows;
+        }
+        display.show(&progress);
+        ControlFlow::Continue(())
+    };
+    let built = tendon_recordings::dataset::build(settings, building, recordings, out, &mut show);
+    display.end();
+    Ok((built.context("no data set was built").map_err(Failure::input)?, resumed_windows))
+}
+
 /// Builds a data set.
 pub fn build(options: &BuildOptions) -> Result<(), Failure> {
     let start = Instant::now();
-    let settings = options.settings();
-    let mut show = |progress: Progress<'_>| show_progress(&progress);
-    let manifest = tendon_recordings::dataset::build(&settings, &options.recordings, &options.out, &mut show)
-        .context("no data set was built")
-        .map_err(Failure::input)?;
+    let default = BuildSettings::default();
+    let building = BuildSettings {
+        test_people: options.test_people.clone(),
+        seed: options.seed,
+        threads: options.threads.map_or(default.threads, usize::from),
+    };
+    let (manifest, resumed_windows) =
+        build_shown(&options.settings(), &building, &options.recordings, &options.out)?;
     println!(
         "{}: {} windows of {} people, {} recordings; {} left out (manifest.json says why)",
         options.out.display(),
@@ -133,13 +195,22 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
     if let Some(total) = manifest.onsets.get("total") {
         println!("{:<12}{:>9}{}", "total", manifest.windows, columns(total));
     }
+    let SplitEntry { test_people, seed, windows: split, .. } = &manifest.split;
+    print!("\n{} windows to train on, {} for validation (seed {seed})", split.train, split.validation);
+    match test_people.as_slice() {
+        [] => println!("; nobody is held out: --test-people chooses whom to test on"),
+        people => println!(", {} for the test: all of {}", split.test, list_of(people)),
+    }
     let signal_s: f64 =
         manifest.recordings.iter().map(|entry| entry.samples as f64 / entry.sample_rate_hz).sum();
     let duration_s = start.elapsed().as_secs_f64();
-    println!(
-        "\n{signal_s:.0} s of signal in {duration_s:.1} s: {:.0} times faster than real time",
-        signal_s / duration_s
-    );
+    // Of a build that went on, nobody knows how long the first part took.
+    if resumed_windows == 0 {
+        println!(
+            "{signal_s:.0} s of signal in {duration_s:.1} s: {:.0} times faster than real time",
+            signal_s / duration_s
+        );
+    }
     Ok(())
 }
 
@@ -151,13 +222,59 @@ fn columns(onsets: &OnsetStatistics) -> String {
     format!("{recordings:>12}{fallbacks:>22}{onset:>34}")
 }
 
-#[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
-fn show_progress(progress: &Progress<'_>) {
-    eprintln!(
-        "{}/{} recordings, {} windows: {}",
-        progress.done,
-        progress.total,
-        progress.windows,
-        progress.path.display()
-    );
+fn list_of(people: &[u16]) -> String {
+    people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// Time between two lines of progress, where a bar cannot be drawn.
+const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Shows how far a build has come, on standard error: a bar, or now and then a line if that is no terminal.
+struct Display {
+    bar: ProgressBar,
+    next_line: Instant,
+}
+
+impl Display {
+    fn new() -> Display {
+        let style = ProgressStyle::with_template(
+            "{bar:30} {pos}/{len} recordings, {msg} windows, {elapsed}, {eta} to go",
+        )
+        .expect("the template is well formed");
+        let bar = ProgressBar::no_length().with_style(style);
+        Display { bar, next_line: Instant::now() + PROGRESS_INTERVAL }
+    }
+
+    #[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
+    fn show(&mut self, progress: &Progress<'_>) {
+        match *progress {
+            Progress::Begun { total, resumed, windows, is_other } => {
+                if is_other {
+                    eprintln!("an unfinished build of other settings or recordings is there: building anew");
+                }
+                if resumed > 0 {
+                    eprintln!(
+                        "{resumed} of {total} recordings are there already, {windows} windows: going on"
+                    );
+                }
+                self.bar.set_length(total as u64);
+                self.bar.set_position(resumed as u64);
+                // Time to go is that of recordings read now.
+                self.bar.reset_eta();
+                self.bar.set_message(windows.to_string());
+            }
+            Progress::Recording { done, total, windows, .. } => {
+                self.bar.set_message(windows.to_string());
+                self.bar.set_position(done as u64);
+                if self.bar.is_hidden() && Instant::now() >= self.next_line {
+                    self.next_line = Instant::now() + PROGRESS_INTERVAL;
+                    eprintln!("{done}/{total} recordings, {windows} windows");
+                }
+            }
+        }
+    }
+
+    fn end(&self) {
+        self.bar.finish_and_clear();
+    }
 }

@@ -186,7 +186,7 @@ pub fn score_recordings(
         input: contract.input,
     };
     classifier.check_fit(&source).map_err(Failure::input)?;
-    let found = list(paths).map_err(Failure::input)?;
+    let found = list(&settings, paths).map_err(Failure::input)?;
     let known = found.recordings.iter().map(|recording| recording.person).collect();
     let trained = contract.people_trained.iter().copied().collect();
     let people = chosen_people(&known, wanted, &trained).map_err(Failure::input)?;

@@ -23,16 +23,16 @@ use clap::Args;
 use serde::Serialize;
 use tendon_classifier::Classifier;
 use tendon_config::Config;
-use tendon_evaluation::{StrategyScores, latency_figure};
+use tendon_evaluation::StrategyScores;
 use tendon_gesture::Strategy;
 use tendon_latency::Report;
 use tendon_recordings::StoredDataset;
-use tendon_recordings::dataset::{Manifest, Recording, list};
+use tendon_recordings::dataset::{BuildSettings, Manifest, Recording, list};
 use tendon_signal::FilterSettings;
 
 use crate::evaluate::{Scores, score_dataset, write_figures};
 use crate::run::write_json;
-use crate::strategies::{Models, score_strategy, with_strategy};
+use crate::strategies::{Models, dataset_settings, score_strategy, with_strategy};
 use crate::{Failure, dataset};
 use paper::Paper;
 use plan::{DATASETS, DatasetPlan, Training};
@@ -216,7 +216,10 @@ fn build(plan: &DatasetPlan, source: &Source, out: &Path) -> Result<Manifest, Fa
         }
     }
     println!("data set {}", plan.name);
-    dataset::build_with(&settings, std::slice::from_ref(&source.recordings), &folder, &source.test_people)
+    let building = BuildSettings { test_people: source.test_people.clone(), ..BuildSettings::default() };
+    let (manifest, _) =
+        dataset::build_shown(&settings, &building, std::slice::from_ref(&source.recordings), &folder)?;
+    Ok(manifest)
 }
 
 /// Trains what is not there yet, several at a time.
@@ -236,7 +239,11 @@ fn train_all(options: &Options, trainings: &[Training], out: &Path) -> anyhow::R
     );
     // The first run of the script may have to install PyTorch, which two must not do at once.
     let output = Command::new(&script).arg("--help").stdout(Stdio::null()).status();
-    ensure!(output.is_ok_and(|status| status.success()), "{} cannot be run: try it by hand", script.display());
+    ensure!(
+        output.is_ok_and(|status| status.success()),
+        "{} cannot be run: try it by hand",
+        script.display()
+    );
     let next = Mutex::new(missing.iter().enumerate());
     let work = || -> anyhow::Result<()> {
         loop {
@@ -292,7 +299,10 @@ fn find_train_script() -> anyhow::Result<PathBuf> {
     let folders = program.ancestors().skip(1).map(Path::to_owned).chain(std::env::current_dir());
     let mut scripts = folders.map(|folder| folder.join("scripts/train"));
     scripts.find(|path| path.is_file()).with_context(|| {
-        format!("scripts/train was not found above {}: run this program from the project's folder", program.display())
+        format!(
+            "scripts/train was not found above {}: run this program from the project's folder",
+            program.display()
+        )
     })
 }
 
@@ -328,7 +338,8 @@ fn run_strategies(
         }
     }
     let test_people: BTreeSet<u16> = source.test_people.iter().copied().collect();
-    let found = list(std::slice::from_ref(&source.recordings)).map_err(Failure::input)?;
+    let settings = dataset_settings(&config, &source.channels);
+    let found = list(&settings, std::slice::from_ref(&source.recordings)).map_err(Failure::input)?;
     let recordings: Vec<Recording> =
         found.recordings.into_iter().filter(|recording| test_people.contains(&recording.person)).collect();
     for strategy in Strategy::ALL {
@@ -372,6 +383,8 @@ fn run_live(strategy: Strategy, recording: &Path, models: &Models, out: &Path) -
         .arg(rest_move)
         .arg("--json")
         .arg(&json)
+        .arg("--figures")
+        .arg(out.join("figures").join(strategy.name()))
         .stdin(Stdio::null())
         .output()
         .context("cannot run a session")?;

@@ -12,6 +12,7 @@ mod children;
 mod dataset;
 mod doctor;
 mod evaluate;
+mod experiments;
 mod latency;
 mod profile;
 mod resources;
@@ -50,6 +51,8 @@ enum Command {
     Evaluate(evaluate::Options),
     /// Score the three real-time strategies on continuous recordings with cues.
     Strategies(strategies::Options),
+    /// Repeat the paper's experiments on recordings: data sets, models, strategies, tables and figures.
+    Experiments(experiments::Options),
 }
 
 /// An error with the exit code it leads to: 2 for bad input, 1 for what broke off later.
@@ -78,6 +81,7 @@ fn main() -> ExitCode {
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),
         Command::Evaluate(options) => evaluate::evaluate(&options),
         Command::Strategies(options) => strategies::score(&options),
+        Command::Experiments(options) => experiments::run(&options),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -15,6 +15,7 @@ use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
+use tendon_evaluation::latency_figure;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_latency::{Report, SessionMeasurements};
 use tendon_messages::{
@@ -62,6 +63,9 @@ pub struct Options {
     /// Write all histograms in hdrhistogram's interval log format.
     #[arg(long, value_name = "FILE")]
     latency_log: Option<PathBuf>,
+    /// Draw the histograms of newest sample to command and of window start to command there, as PNG and SVG.
+    #[arg(long, value_name = "FOLDER")]
+    figures: Option<PathBuf>,
     /// Replay a recording: a 3DC folder or file, or a CSV file.
     #[arg(long, value_name = "PATH")]
     replay: Option<PathBuf>,
@@ -287,10 +291,28 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     watch.screen.finish();
     let report = report.map_err(Failure::running)?;
     println!("{}", report.table());
+    if let Some(folder) = &options.figures {
+        write_figures(folder, &watch.observer.gathered).map_err(Failure::running)?;
+    }
     if let Some(path) = &options.json {
         write_json(path, &report).map_err(Failure::running)?;
     }
     watched
+}
+
+fn write_figures(folder: &Path, gathered: &SessionMeasurements) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let histograms = [
+        ("newest-sample-to-command", "newest sample to command", &gathered.newest_sample_to_command),
+        ("window-start-to-command", "window start to command", &gathered.window_start_to_command.histogram),
+    ];
+    for (name, title, histogram) in histograms {
+        for ending in ["png", "svg"] {
+            latency_figure(&folder.join(format!("{name}.{ending}")), title, histogram)?;
+        }
+    }
+    Ok(())
 }
 
 /// Writes what a `--json FILE` asks for.

@@ -126,7 +126,8 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     for strategy in chosen {
         recognisers.push((strategy, models.load(&library, strategy, &config).map_err(Failure::input)?));
     }
-    let found = list(&options.recordings).map_err(Failure::input)?;
+    let settings = dataset_settings(&config, &options.channels);
+    let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let known: BTreeSet<u16> = found.recordings.iter().map(|recording| recording.person).collect();
     let trained = recognisers.iter().flat_map(|(_, recogniser)| recogniser.people_trained()).collect();
     let people = crate::evaluate::chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
@@ -176,6 +177,17 @@ fn configuration(options: &Options) -> anyhow::Result<Config> {
     Ok(config)
 }
 
+/// How recordings are read for a session of `config`, and its windows cut.
+pub fn dataset_settings(config: &Config, channels: &[usize]) -> DatasetSettings {
+    DatasetSettings {
+        channels: channels.iter().copied().map(Channel::Index).collect(),
+        sample_rate_hz: config.acquisition.sample_rate_hz,
+        filter: Some(config.dsp.filter.clone()),
+        windows: config.dsp.windows.clone(),
+        ..DatasetSettings::default()
+    }
+}
+
 /// `config` with another strategy.
 pub fn with_strategy(config: &Config, strategy: Strategy) -> Config {
     let mut config = config.clone();
@@ -194,13 +206,7 @@ pub fn score_strategy(
     recordings: &[Recording],
     channels: &[usize],
 ) -> anyhow::Result<(StrategyScores, Vec<String>)> {
-    let settings = DatasetSettings {
-        channels: channels.iter().copied().map(Channel::Index).collect(),
-        sample_rate_hz: config.acquisition.sample_rate_hz,
-        filter: Some(config.dsp.filter.clone()),
-        windows: config.dsp.windows.clone(),
-        ..DatasetSettings::default()
-    };
+    let settings = dataset_settings(config, channels);
     let mut tally = StrategyTally::new(settings.sample_rate_hz);
     let mut skipped = Vec::new();
     let mut next_progress = Instant::now() + PROGRESS_INTERVAL;

@@ -1,31 +1,37 @@
-//! Windows to train on, cut from 3DC recordings by the code that runs live.
+//! Windows to train on, cut from recordings by the code that runs live.
 //!
 //! ```text
-//! repetition ─▶ replay at the session's rate ─▶ filter, causal and without a break over the whole repetition
+//! paths ─▶ list: recordings of any layout
+//! recording ─▶ replay at the session's rate ─▶ filter, causal and without a break over the whole recording
 //!
-//! file of a gesture  |~~ rest ~~|margin|═══════════════ gesture ═══════════════|
-//!                               ▲ onset (or a fixed cut-off if none is found)
-//! windows                       [──────]  [──────]
-//!                                  [──────]  …  each wholly between the onset and the end of the file
+//! trial                  |~~ rest ~~|margin|═══════════════ gesture ═══════════════|
+//!                                   ▲ onset (or a fixed cut-off if none is found)
+//! windows                           [──────]  [──────]
+//!                                      [──────]  …  each wholly between the onset and the end of the trial
 //! ```
 //! The classifier sees live just such windows: the filter has been running, and no look into the future is
-//! taken, but for the choice of where a gesture begins.
+//! taken, but for the choice of where a gesture begins. [`cut`] gives the windows of a recording in passing, [`build`]
+//! writes those of many.
 //!
 //! # What is written
 //! | file | content |
 //! |---|---|
 //! | `windows.npy` | float32 `[n, channels, window]`, filtered or its envelope, in the recording's unit |
 //! | `labels.npy` | uint8 `[n]`, class numbers of [`Gesture`] |
-//! | `people.npy` | uint16 `[n]`, the number P of the folder `ParticipantP` |
-//! | `repetitions.npy` | uint8 `[n]`, 0 to 3 in `train`, 4 to 7 in `test` |
-//! | `recordings.npy` | uint32 `[n]`, the window's recording: its place in the manifest's `recordings` |
-//! | `starts.npy` | uint32 `[n]`, the window's first sample within that recording, at the data set's rate |
-//! | `manifest.json` | [`Manifest`]: settings, counts, and what became of each file |
+//! | `people.npy` | uint16 `[n]`, number of the person |
+//! | `repetitions.npy` | uint8 `[n]`, the repetition counted through all sessions of the person: 0 to 3 in 3DC's `train`, 4 to 7 in its `test` |
+//! | `recordings.npy` | uint32 `[n]`, the window's trial: its place in the manifest's `recordings` |
+//! | `starts.npy` | uint32 `[n]`, the window's first sample within that trial, at the data set's rate |
+//! | `splits.npy` | uint8 `[n]`, what the window is for: a [`Split`] |
+//! | `manifest.json` | [`Manifest`]: settings, counts, and what became of each trial |
+//!
+//! While it is built, `progress.jsonl` tells which recordings are finished.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::{self, File};
 use std::io;
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -36,16 +42,22 @@ use tendon_signal::{
 };
 
 use crate::error::RecordingError;
-use crate::npy::{Element, NpyWriter};
+use crate::labels::LabelsError;
+use crate::npy::{Element, MappedArray, NpyWriter};
 use crate::table::Channel;
 
 mod cut;
+mod journal;
 mod listing;
+mod ordered;
+mod split;
 
 pub use cut::{Cut, CutWindow, cut};
-pub use listing::{Recording, Recordings, list};
+pub use listing::{Layout, Recording, Recordings, list};
+pub use split::{GestureStatistics, Split, SplitEntry, SplitWindows, TrainingStatistics, VALIDATION_SHARE};
 
-use cut::{Outcome, Trial, trials};
+use cut::{Outcome, trials};
+use journal::{Earlier, Finished, Journal, JournalError};
 
 /// How windows are made. The defaults are the paper's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,6 +65,8 @@ use cut::{Outcome, Trial, trials};
 pub struct DatasetSettings {
     /// Which channels of the recordings, in order.
     pub channels: Vec<Channel>,
+    /// Sampling rate of the recordings, in Hz, where they do not tell it.
+    pub recording_rate_hz: Option<f64>,
     /// Sampling rate of the windows, in Hz: the session's.
     pub sample_rate_hz: f64,
     /// The session's filter; `null` for recordings that are filtered already.
@@ -73,6 +87,7 @@ impl Default for DatasetSettings {
     fn default() -> DatasetSettings {
         DatasetSettings {
             channels: [0, 3, 5, 8].map(Channel::Index).to_vec(),
+            recording_rate_hz: None,
             sample_rate_hz: 2000.0,
             filter: Some(FilterSettings::default()),
             input: WindowInput::Raw,
@@ -92,6 +107,11 @@ impl DatasetSettings {
             EmgFilter::new(filter, channels, self.sample_rate_hz)?;
         }
         find_onset(&self.onset, &[], channels, self.sample_rate_hz)?;
+        if let Some(rate_hz) =
+            self.recording_rate_hz.filter(|rate_hz| !(rate_hz.is_finite() && *rate_hz > 0.0))
+        {
+            return Err(DesignError::SampleRate(rate_hz));
+        }
         let WindowSettings { window_samples, increment_samples } = self.windows;
         for (setting, samples, example) in
             [("window_samples", window_samples, 600), ("increment_samples", increment_samples, 150)]
@@ -120,13 +140,17 @@ pub struct Manifest {
     pub windows_per_gesture: BTreeMap<String, u64>,
     /// Windows of each person, by number.
     pub windows_per_person: BTreeMap<u16, u64>,
-    /// Gesture files, rest not counted, in which no onset was found.
+    /// Trials, rest not counted, in which no onset was found.
     pub fallbacks: u64,
     /// How onsets were found, by gesture, and over all as `total`: the paper's table of fallbacks.
     pub onsets: BTreeMap<String, OnsetStatistics>,
-    /// Every file that was used, in the order of the windows.
+    /// What the windows are for.
+    pub split: SplitEntry,
+    /// What the windows for training hold.
+    pub training_statistics: TrainingStatistics,
+    /// Every trial that was used, in the order of the windows.
     pub recordings: Vec<RecordingEntry>,
-    /// Every file or repetition that was not used.
+    /// Everything that was not used.
     pub skipped: Vec<SkippedEntry>,
     /// What the user should know about the recordings.
     pub notices: Vec<String>,
@@ -232,17 +256,31 @@ impl fmt::Display for SkippedEntry {
     }
 }
 
-/// How far [`build`] has come: told after each recording.
+/// How far [`build`] has come.
 #[derive(Clone, Copy, Debug)]
-pub struct Progress<'a> {
-    /// Recordings done.
-    pub done: usize,
-    /// Recordings in all.
-    pub total: usize,
-    /// The file or folder of the recording just done.
-    pub path: &'a Path,
-    /// Windows so far.
-    pub windows: u64,
+pub enum Progress<'a> {
+    /// It begins.
+    Begun {
+        /// Recordings in all.
+        total: usize,
+        /// Those that an earlier build had finished.
+        resumed: usize,
+        /// Their windows.
+        windows: u64,
+        /// Whether an earlier build had not come to its end, but was of other settings or recordings.
+        is_other: bool,
+    },
+    /// A recording is finished.
+    Recording {
+        /// Recordings finished.
+        done: usize,
+        /// Recordings in all.
+        total: usize,
+        /// The file or folder of the one just finished.
+        path: &'a Path,
+        /// Windows so far.
+        windows: u64,
+    },
 }
 
 /// Why no data set could be built.
@@ -254,15 +292,124 @@ pub enum DatasetError {
     /// Settings that do not fit.
     #[error(transparent)]
     Design(#[from] DesignError),
-    /// A path that is not `ParticipantP/{train,test}/EMG`.
+    /// Labels that cannot be used.
+    #[error(transparent)]
+    Labels(#[from] LabelsError),
+    /// A path without recordings.
     #[error(
-        "{} does not tell its person and session: give folders ParticipantP/train/EMG or ParticipantP/test/EMG \
-         with 3DC recordings",
-        .folder.display()
+        "{}: no recordings found{hint}; give folders ParticipantP/train/EMG or ParticipantP/test/EMG (3DC), files \
+         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), a folder with tables and a labels.csv, or a \
+         folder above such",
+        .path.display()
     )]
-    Unplaced {
+    NoRecordings {
         /// The path.
-        folder: PathBuf,
+        path: PathBuf,
+        /// What lies there instead, if anything, in brackets.
+        hint: String,
+    },
+    /// Recordings of several data sets: their people, channels and units have nothing to do with each other.
+    #[error(
+        "{} is of the layout {layout}, but {} of {other}: build a data set of each",
+        .first.display(), .second.display()
+    )]
+    SeveralLayouts {
+        /// The first path.
+        first: PathBuf,
+        /// Its layout.
+        layout: Layout,
+        /// A path of another layout.
+        second: PathBuf,
+        /// That layout.
+        other: Layout,
+    },
+    /// The same recording from two places.
+    #[error("{what} is in {} and in {}: leave one of them out", .first.display(), .second.display())]
+    Twice {
+        /// What is there twice.
+        what: String,
+        /// The first place.
+        first: PathBuf,
+        /// The second.
+        second: PathBuf,
+    },
+    /// Recordings that are to be filtered, but were already.
+    #[error("{} lies in a folder `filtered`: give --filtered, or the recordings in `raw`", .file.display())]
+    Filtered {
+        /// The first such file.
+        file: PathBuf,
+    },
+    /// Recordings that are not to be filtered, but should be.
+    #[error(
+        "{} lies in a folder `raw`: leave out --filtered, or give the recordings in `filtered`",
+        .file.display()
+    )]
+    NotFiltered {
+        /// The first such file.
+        file: PathBuf,
+    },
+    /// Tables with labels, whose sampling rate was not given.
+    #[error(
+        "the files that {} names do not tell their sampling rate: give --recording-rate-hz, e.g. 2000",
+        .labels.display()
+    )]
+    NoRate {
+        /// The labels file.
+        labels: PathBuf,
+    },
+    /// More repetitions than `repetitions.npy` can number.
+    #[error(
+        "the repetitions of person {person}, counted through all sessions, are more than 256: number them from 0 in \
+         each session"
+    )]
+    TooManyRepetitions {
+        /// The person.
+        person: u16,
+    },
+    /// Somebody to hold out who is not there.
+    #[error("there is no person {person} to hold out: choose among {}", list_of(.known))]
+    UnknownTestPerson {
+        /// The number asked for.
+        person: u16,
+        /// The people there are.
+        known: Vec<u16>,
+    },
+    /// Everybody is held out.
+    #[error("all people ({}) are held out: leave at least one to train on", list_of(.known))]
+    EverybodyHeldOut {
+        /// The people there are.
+        known: Vec<u16>,
+    },
+    /// Two people who must stay together.
+    #[error(
+        "people {} and {} of 3DC share recordings (part of one's files are copies of the other's): hold out both or \
+         neither",
+        .people[0], .people[1]
+    )]
+    TwinsDivided {
+        /// The two.
+        people: [u16; 2],
+    },
+    /// All windows are held out.
+    #[error(
+        "nothing is left to train on: all windows are of those held out ({}); hold out fewer people",
+        list_of(.test_people)
+    )]
+    NothingToTrain {
+        /// The people held out.
+        test_people: Vec<u16>,
+    },
+    /// The build was broken off.
+    #[error("interrupted: the same command goes on where {} stands", .out_dir.display())]
+    Interrupted {
+        /// Folder of the data set.
+        out_dir: PathBuf,
+    },
+    /// Another process builds there.
+    #[error("another build is writing to {}: wait for it, or choose another folder", .out_dir.display())]
+    InUse {
+        /// Folder of the data set.
+        out_dir: PathBuf,
     },
     /// A file of the data set that cannot be written.
     #[error("cannot write {}: {reason}; check that there is room and that you may write there", .path.display())]
@@ -277,57 +424,135 @@ pub enum DatasetError {
         "no window could be cut from {recordings} recordings; the first was left out because: {first_reason}"
     )]
     NoWindows {
-        /// Folders given.
+        /// Recordings found.
         recordings: usize,
-        /// Why the first file was skipped.
+        /// Why the first one was left out.
         first_reason: String,
     },
 }
 
-/// Cuts the windows of all `recordings`, 3DC folders `ParticipantP/{train,test}/EMG` or folders above such, and
-/// writes the data set to `out_dir`, which is created. Recordings that cannot be used are left out and listed in the
-/// manifest.
+/// How a data set is built from its settings and recordings.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BuildSettings {
+    /// People all of whose windows are for the test; nobody else's are.
+    pub test_people: Vec<u16>,
+    /// Seed of the choice of windows for validation.
+    pub seed: u64,
+    /// Recordings that are read at a time. The data set does not depend on it.
+    pub threads: usize,
+}
+
+impl Default for BuildSettings {
+    /// Nobody is held out; all processors, but no more than eight threads: each may hold a recording in memory.
+    fn default() -> BuildSettings {
+        let threads = std::thread::available_parallelism().map_or(1, NonZeroUsize::get).min(8);
+        BuildSettings { test_people: Vec::new(), seed: 0, threads }
+    }
+}
+
+/// Cuts the windows of all recordings that [`list`] finds at or below `paths` and writes the data set to `out_dir`,
+/// which is created. Recordings that cannot be used are left out and listed in the manifest.
+///
+/// A build that was interrupted, by `progress` or by the end of the process, goes on where it stopped when it is
+/// begun again with the same settings and recordings; with others, all of it is made anew. The data set is the same
+/// to the byte either way.
 ///
 /// # Errors
-/// When a path is no such folder, the settings do not fit, or the data set cannot be written. The manifest is
-/// written last: a folder without it holds no complete data set.
+/// When [`list`] gives one, the settings do not fit, nothing is left to train on, `progress` breaks off, or the data
+/// set cannot be written. The manifest is written last: a folder without it holds no complete data set.
 pub fn build(
     settings: &DatasetSettings,
-    recordings: &[PathBuf],
+    building: &BuildSettings,
+    paths: &[PathBuf],
     out_dir: &Path,
-    progress: &mut dyn FnMut(Progress<'_>),
+    progress: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
 ) -> Result<Manifest, DatasetError> {
     settings.check()?;
-    let found = list(recordings)?;
-    let mut builder = Builder::create(settings, out_dir)?;
-    builder.manifest.skipped = found.skipped;
+    let found = list(settings, paths)?;
+    split::check_people(&building.test_people, found.layout, &found.recordings)?;
     let total = found.recordings.len();
-    for (index, recording) in found.recordings.iter().enumerate() {
-        builder.add(recording)?;
-        let windows = builder.manifest.windows;
-        progress(Progress { done: index + 1, total, path: &recording.path, windows });
+    let (mut builder, is_other) = Builder::open(settings, &found, out_dir)?;
+    let resumed = builder.finished;
+    let begun = Progress::Begun { total, resumed, windows: builder.windows.rows(), is_other };
+    let mut flow = progress(begun);
+    let mut result = Ok(());
+    if flow.is_continue() {
+        let remaining: Vec<&Recording> = found.recordings[resumed..].iter().collect();
+        ordered::in_order(
+            building.threads,
+            &remaining,
+            |recording, give| {
+                let given = trials(settings, recording, &mut |outcome| {
+                    let bytes = match &outcome {
+                        Outcome::Trial(trial) => trial.bytes(),
+                        Outcome::Skipped(_) => 0,
+                    };
+                    give(Step::Outcome(outcome), bytes)
+                });
+                // Should the other side have broken off, nobody needs this.
+                let _ = give(Step::End(given.map_err(|error| recording.skipped(&error))), 0);
+            },
+            |step| match builder.take(step) {
+                Ok(None) => ControlFlow::Continue(()),
+                Ok(Some(done)) => {
+                    let path = &found.recordings[done - 1].path;
+                    flow =
+                        progress(Progress::Recording { done, total, path, windows: builder.windows.rows() });
+                    flow
+                }
+                Err(error) => {
+                    result = Err(error);
+                    ControlFlow::Break(())
+                }
+            },
+        );
     }
-    if builder.manifest.windows == 0 {
-        let first_reason = match builder.manifest.skipped.first() {
-            Some(skipped) => format!("{}: {}", skipped.path.display(), skipped.reason),
-            None => "the folders hold no files 3dc_EMG_gesture_R_G.txt".to_owned(),
-        };
-        return Err(DatasetError::NoWindows { recordings: total, first_reason });
+    result?;
+    if flow.is_break() {
+        return Err(DatasetError::Interrupted { out_dir: out_dir.to_owned() });
     }
-    builder.finish()
+    builder.finish(building)
+}
+
+/// What a thread gives that cuts a recording.
+enum Step {
+    /// What became of a trial.
+    Outcome(Outcome),
+    /// The recording was read to its end, with these notices, or has to be left out whole.
+    End(Result<Vec<String>, SkippedEntry>),
 }
 
 /// The data set being written.
 struct Builder<'a> {
     settings: &'a DatasetSettings,
     out_dir: &'a Path,
+    journal: Journal,
     windows: NpyWriter<f32>,
-    manifest: Manifest,
+    /// Recordings that are finished.
+    finished: usize,
+    recordings: Vec<RecordingEntry>,
+    skipped: Vec<SkippedEntry>,
+    notices: Vec<String>,
+    /// The recording whose trials are coming.
+    current: Finished,
+    /// A window.
+    window: Vec<f32>,
 }
 
 impl<'a> Builder<'a> {
-    fn create(settings: &'a DatasetSettings, out_dir: &'a Path) -> Result<Builder<'a>, DatasetError> {
+    /// Opens the data set in `out_dir` to go on with it, or begins it; and whether something else was found there
+    /// that had not come to its end.
+    fn open(
+        settings: &'a DatasetSettings,
+        found: &Recordings,
+        out_dir: &'a Path,
+    ) -> Result<(Builder<'a>, bool), DatasetError> {
         fs::create_dir_all(out_dir).map_err(write_error(out_dir))?;
+        let (mut journal, earlier) =
+            Journal::open(out_dir, settings, &found.recordings).map_err(|error| match error {
+                JournalError::InUse => DatasetError::InUse { out_dir: out_dir.to_owned() },
+                JournalError::Io(error) => write_error(&out_dir.join(journal::FILE_NAME))(error),
+            })?;
         let manifest_path = out_dir.join(MANIFEST);
         match fs::remove_file(&manifest_path) {
             Err(reason) if reason.kind() != io::ErrorKind::NotFound => {
@@ -335,110 +560,143 @@ impl<'a> Builder<'a> {
             }
             _ => {}
         }
+        let is_other = earlier == Earlier::Other;
+        let mut earlier = match earlier {
+            Earlier::Same(finished) => finished,
+            Earlier::None | Earlier::Other => Vec::new(),
+        };
         let windows_path = out_dir.join(WINDOWS);
         let row_shape = [settings.channels.len(), settings.windows.window_samples];
-        Ok(Builder {
+        let blocks: Vec<(u64, u32)> =
+            earlier.iter().map(|finished| (finished.windows, finished.checksum)).collect();
+        let (windows, whole) =
+            NpyWriter::resume(&windows_path, &row_shape, &blocks).map_err(write_error(&windows_path))?;
+        earlier.truncate(whole);
+        journal.keep_recordings(whole).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
+        let mut builder = Builder {
             settings,
             out_dir,
-            windows: NpyWriter::create(&windows_path, &row_shape).map_err(write_error(&windows_path))?,
-            manifest: Manifest {
-                settings: settings.clone(),
-                windows: 0,
-                windows_per_gesture: BTreeMap::new(),
-                windows_per_person: BTreeMap::new(),
-                fallbacks: 0,
-                onsets: BTreeMap::new(),
-                recordings: Vec::new(),
-                skipped: Vec::new(),
-                notices: Vec::new(),
-            },
-        })
+            journal,
+            windows,
+            finished: 0,
+            recordings: Vec::new(),
+            skipped: found.skipped.clone(),
+            notices: Vec::new(),
+            current: Finished::default(),
+            window: vec![0.0; row_shape.iter().product()],
+        };
+        for finished in earlier {
+            builder.append(finished);
+        }
+        Ok((builder, is_other))
     }
 
-    /// Adds the windows of one recording; one that cannot be read to its end is left out whole.
-    fn add(&mut self, recording: &Recording) -> Result<(), DatasetError> {
-        let (mut used, mut skipped) = (Vec::new(), Vec::new());
-        let mut window = vec![0.0; self.settings.channels.len() * self.settings.windows.window_samples];
-        let first_window = self.manifest.windows;
-        let mut written = Ok(());
-        let result = trials(self.settings, recording, &mut |outcome| {
-            match outcome {
-                Outcome::Skipped(entry) => skipped.push(entry),
-                Outcome::Trial(trial) => {
-                    written = self.write(&trial, &mut window);
-                    if written.is_err() {
-                        return ControlFlow::Break(());
-                    }
-                    used.push(RecordingEntry {
-                        first_window: self.manifest.windows - trial.entry.windows,
-                        ..trial.entry
-                    });
+    fn append(&mut self, finished: Finished) {
+        self.finished += 1;
+        self.recordings.extend(finished.trials);
+        self.skipped.extend(finished.skipped);
+        self.notices.extend(finished.notices);
+    }
+
+    /// Takes in the next step; `Some` with the recordings finished so far when it ends one.
+    fn take(&mut self, step: Step) -> Result<Option<usize>, DatasetError> {
+        let at_windows = |error| write_error(&self.out_dir.join(WINDOWS))(error);
+        match step {
+            Step::Outcome(Outcome::Skipped(skipped)) => {
+                self.current.skipped.push(skipped);
+                return Ok(None);
+            }
+            Step::Outcome(Outcome::Trial(trial)) => {
+                let first_window = self.windows.rows();
+                for start_sample in trial.entry.starts(&self.settings.windows) {
+                    trial.copy_window(start_sample, &self.settings.windows, &mut self.window);
+                    self.windows.write(&self.window).map_err(at_windows)?;
                 }
+                self.current.windows += trial.entry.windows;
+                self.current.trials.push(RecordingEntry { first_window, ..trial.entry });
+                return Ok(None);
             }
-            ControlFlow::Continue(())
-        });
-        written.map_err(write_error(&self.out_dir.join(WINDOWS)))?;
-        match result {
-            Ok(notices) => {
-                self.manifest.recordings.extend(used);
-                self.manifest.skipped.extend(skipped);
-                self.manifest.notices.extend(notices);
-            }
-            Err(error) => {
-                self.windows.truncate(first_window).map_err(write_error(&self.out_dir.join(WINDOWS)))?;
-                self.manifest.windows = first_window;
-                self.manifest.skipped.push(recording.skipped(&error));
+            Step::End(Ok(notices)) => self.current.notices = notices,
+            Step::End(Err(skipped)) => {
+                let before = self.windows.rows() - self.current.windows;
+                self.windows.truncate(before).map_err(at_windows)?;
+                self.current = Finished { skipped: vec![skipped], ..Finished::default() };
             }
         }
-        Ok(())
+        self.current.checksum = self.windows.flush().map_err(at_windows)?;
+        self.journal
+            .push(&self.current)
+            .map_err(|error| write_error(&self.out_dir.join(journal::FILE_NAME))(error))?;
+        let finished = std::mem::take(&mut self.current);
+        self.append(finished);
+        Ok(Some(self.finished))
     }
 
-    fn write(&mut self, trial: &Trial, window: &mut [f32]) -> io::Result<()> {
-        for start_sample in trial.entry.starts(&self.settings.windows) {
-            trial.copy_window(start_sample, &self.settings.windows, window);
-            self.windows.write(window)?;
-            self.manifest.windows += 1;
+    fn finish(self, building: &BuildSettings) -> Result<Manifest, DatasetError> {
+        let Builder { settings, out_dir, journal, windows, recordings, skipped, notices, .. } = self;
+        let count = windows.rows();
+        if count == 0 {
+            let first_reason = match skipped.first() {
+                Some(skipped) => format!("{}: {}", skipped.path.display(), skipped.reason),
+                None => "they hold no trials".to_owned(),
+            };
+            return Err(DatasetError::NoWindows { recordings: self.finished, first_reason });
         }
-        Ok(())
-    }
+        let splits = split::splits(&recordings, &building.test_people, building.seed);
+        let split = split::entry_of(&splits, &recordings, &building.test_people, building.seed);
+        if split.windows.train == 0 {
+            return Err(DatasetError::NothingToTrain { test_people: split.test_people });
+        }
+        let windows_path = out_dir.join(WINDOWS);
+        windows.finish().map_err(write_error(&windows_path))?;
+        let rows = || {
+            recordings.iter().enumerate().flat_map(|(index, entry)| {
+                entry.starts(&settings.windows).map(move |start| (index, entry, start))
+            })
+        };
+        write_array(out_dir, LABELS, rows().map(|(_, entry, _)| entry.gesture as u8))?;
+        write_array(out_dir, PEOPLE, rows().map(|(_, entry, _)| entry.person))?;
+        write_array(out_dir, REPETITIONS, rows().map(|(_, entry, _)| entry.repetition_of_all))?;
+        write_array(out_dir, RECORDINGS, rows().map(|(index, _, _)| index as u32))?;
+        write_array(out_dir, STARTS, rows().map(|(_, _, start)| start as u32))?;
+        write_array(out_dir, SPLITS, splits.iter().map(|&split| split as u8))?;
+        let mut stored = MappedArray::open(&windows_path, 2)
+            .map_err(|problem| write_error(&windows_path)(io::Error::other(problem)))?;
+        let training_statistics = split::statistics(&mut stored, &splits, &recordings);
 
-    fn finish(mut self) -> Result<Manifest, DatasetError> {
-        let manifest = &mut self.manifest;
-        for entry in &manifest.recordings {
-            manifest.fallbacks += u64::from(entry.fallback);
-            *manifest.windows_per_gesture.entry(entry.gesture.name().to_owned()).or_default() +=
-                entry.windows;
-            *manifest.windows_per_person.entry(entry.person).or_default() += entry.windows;
+        let mut windows_per_gesture = BTreeMap::new();
+        let mut windows_per_person = BTreeMap::new();
+        for entry in &recordings {
+            *windows_per_gesture.entry(entry.gesture.name().to_owned()).or_default() += entry.windows;
+            *windows_per_person.entry(entry.person).or_default() += entry.windows;
         }
-        let recordings = &manifest.recordings;
         let of_gesture = |gesture: Gesture| {
             let statistics = OnsetStatistics::of(recordings.iter().filter(|entry| entry.gesture == gesture));
             (gesture.name().to_owned(), statistics)
         };
         let total = ("total".to_owned(), OnsetStatistics::of(recordings.iter()));
-        manifest.onsets = Gesture::ACTIVE.into_iter().map(of_gesture).chain([total]).collect();
-
-        self.windows.finish().map_err(write_error(&self.out_dir.join(WINDOWS)))?;
-        let rows = || {
-            let windows = &self.settings.windows;
-            recordings
-                .iter()
-                .enumerate()
-                .flat_map(|(index, entry)| entry.starts(windows).map(move |start| (index, entry, start)))
+        let manifest = Manifest {
+            settings: settings.clone(),
+            windows: count,
+            windows_per_gesture,
+            windows_per_person,
+            fallbacks: recordings.iter().filter(|entry| entry.fallback).count() as u64,
+            onsets: Gesture::ACTIVE.into_iter().map(of_gesture).chain([total]).collect(),
+            split,
+            training_statistics,
+            recordings,
+            skipped,
+            notices,
         };
-        write_array(self.out_dir, LABELS, rows().map(|(_, entry, _)| entry.gesture as u8))?;
-        write_array(self.out_dir, PEOPLE, rows().map(|(_, entry, _)| entry.person))?;
-        write_array(self.out_dir, REPETITIONS, rows().map(|(_, entry, _)| entry.repetition_of_all))?;
-        write_array(self.out_dir, RECORDINGS, rows().map(|(index, _, _)| index as u32))?;
-        write_array(self.out_dir, STARTS, rows().map(|(_, _, start)| start as u32))?;
-        let manifest_path = self.out_dir.join(MANIFEST);
+        let manifest_path = out_dir.join(MANIFEST);
         let write_manifest = || {
             let mut file = io::BufWriter::new(File::create(&manifest_path)?);
-            serde_json::to_writer_pretty(&mut file, &self.manifest)?;
+            serde_json::to_writer_pretty(&mut file, &manifest)?;
             io::Write::flush(&mut file)
         };
         write_manifest().map_err(write_error(&manifest_path))?;
-        Ok(self.manifest)
+        journal.remove(out_dir).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
+        Ok(manifest)
     }
 }
 
@@ -465,7 +723,12 @@ pub(crate) const PEOPLE: &str = "people.npy";
 pub(crate) const REPETITIONS: &str = "repetitions.npy";
 pub(crate) const RECORDINGS: &str = "recordings.npy";
 pub(crate) const STARTS: &str = "starts.npy";
+pub(crate) const SPLITS: &str = "splits.npy";
 pub(crate) const MANIFEST: &str = "manifest.json";
+
+fn list_of(people: &[u16]) -> String {
+    people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
 
 fn write_error(path: &Path) -> impl FnOnce(io::Error) -> DatasetError + '_ {
     |reason| DatasetError::Write { path: path.to_owned(), reason }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use tendon_signal::DesignError;
 
+use crate::mat::MatError;
 use crate::table::TableError;
 
 /// A recording that cannot be read. Each message says where and what to do.
@@ -85,6 +86,22 @@ pub enum RecordingError {
         /// The place and what is wrong there.
         error: TableError,
     },
+    /// A MAT-file that cannot be read.
+    #[error("{} {error}", .file.display())]
+    Mat {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        error: MatError,
+    },
+    /// A channel chosen by name where channels have none.
+    #[error("{} has no names of channels: choose `{name}` by its number, counted from 0", .file.display())]
+    NamedChannel {
+        /// The file.
+        file: PathBuf,
+        /// The name asked for.
+        name: String,
+    },
     /// Settings from which no filter or window can be made.
     #[error(transparent)]
     Design(#[from] DesignError),
@@ -93,6 +110,10 @@ pub enum RecordingError {
 impl RecordingError {
     pub(crate) fn table(file: &Path) -> impl FnOnce(TableError) -> RecordingError + '_ {
         |error| RecordingError::Table { file: file.to_owned(), error }
+    }
+
+    pub(crate) fn mat(file: &Path) -> impl Fn(MatError) -> RecordingError + '_ {
+        |error| RecordingError::Mat { file: file.to_owned(), error }
     }
 
     pub(crate) fn open(path: &Path) -> impl FnOnce(io::Error) -> RecordingError + '_ {

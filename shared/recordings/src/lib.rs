@@ -14,8 +14,11 @@
 
 pub mod dataset;
 mod error;
+mod labels;
 mod mapped;
+pub mod mat;
 mod npy;
+mod ozdemir;
 mod replay;
 mod source;
 mod stored;

@@ -6,8 +6,8 @@
 //! The number of rows is only known at the end, so the header is written with room to spare and again at the
 //! end.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use crate::mapped::MappedFile;
@@ -15,45 +15,31 @@ use crate::mapped::MappedFile;
 /// A multiple of 64, as the format asks, that leaves room for any number of rows.
 const HEADER_BYTES: usize = 192;
 
+const BUFFER_BYTES: usize = 1 << 18;
+
 /// What an array can hold.
-pub(crate) trait Element: Copy + bytemuck::AnyBitPattern {
+pub(crate) trait Element: Copy + bytemuck::Pod {
     /// NumPy's name of the type: byte order, kind, bytes.
     const DESCRIPTION: &'static str;
-
-    /// Writes the value in that byte order.
-    fn write(self, writer: &mut impl Write) -> io::Result<()>;
 }
+
+// Arrays are written and read as they are in memory.
+const _: () = assert!(cfg!(target_endian = "little"), "arrays are little-endian");
 
 impl Element for f32 {
     const DESCRIPTION: &'static str = "<f4";
-
-    fn write(self, writer: &mut impl Write) -> io::Result<()> {
-        writer.write_all(&self.to_le_bytes())
-    }
 }
 
 impl Element for u8 {
     const DESCRIPTION: &'static str = "|u1";
-
-    fn write(self, writer: &mut impl Write) -> io::Result<()> {
-        writer.write_all(&[self])
-    }
 }
 
 impl Element for u16 {
     const DESCRIPTION: &'static str = "<u2";
-
-    fn write(self, writer: &mut impl Write) -> io::Result<()> {
-        writer.write_all(&self.to_le_bytes())
-    }
 }
 
 impl Element for u32 {
     const DESCRIPTION: &'static str = "<u4";
-
-    fn write(self, writer: &mut impl Write) -> io::Result<()> {
-        writer.write_all(&self.to_le_bytes())
-    }
 }
 
 /// An array `[n, …]` being written, n growing.
@@ -61,34 +47,88 @@ pub(crate) struct NpyWriter<T> {
     file: BufWriter<File>,
     row_shape: Vec<usize>,
     elements: u64,
+    /// Of the bytes since the last flush.
+    checksum: crc32fast::Hasher,
     element: std::marker::PhantomData<T>,
 }
 
 impl<T: Element> NpyWriter<T> {
     /// Begins an array of rows of shape `row_shape` (empty: rows are single values) in a new file.
     pub(crate) fn create(path: &Path, row_shape: &[usize]) -> io::Result<NpyWriter<T>> {
-        let file = BufWriter::with_capacity(1 << 18, File::create(path)?);
-        let row_shape = row_shape.to_vec();
-        let mut writer = NpyWriter { file, row_shape, elements: 0, element: std::marker::PhantomData };
+        let mut writer = NpyWriter::of(File::create(path)?, row_shape);
         writer.write_header()?;
         Ok(writer)
     }
 
+    /// Goes on with the array at `path`, or begins it. `blocks` are the rows and the checksum of what was written
+    /// from one flush to the next; the array keeps those that are as they were, up to the first that is not. The
+    /// result is also how many it keeps.
+    pub(crate) fn resume(
+        path: &Path,
+        row_shape: &[usize],
+        blocks: &[(u64, u32)],
+    ) -> io::Result<(NpyWriter<T>, usize)> {
+        let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
+        let mut writer = NpyWriter::of(file, row_shape);
+        let row_bytes = (writer.row_elements() * size_of::<T>()) as u64;
+        let mut reader = BufReader::with_capacity(BUFFER_BYTES, writer.file.get_ref().try_clone()?);
+        reader.seek(SeekFrom::Start(HEADER_BYTES as u64))?;
+        let mut kept = 0;
+        for &(rows, checksum) in blocks {
+            let bytes = rows * row_bytes;
+            if checksum_of((&mut reader).take(bytes))? != (bytes, checksum) {
+                break;
+            }
+            writer.elements += rows * writer.row_elements() as u64;
+            kept += 1;
+        }
+        let rows = writer.rows();
+        writer.file.seek(SeekFrom::Start(0))?;
+        writer.write_header()?;
+        writer.truncate(rows)?;
+        Ok((writer, kept))
+    }
+
+    fn of(file: File, row_shape: &[usize]) -> NpyWriter<T> {
+        NpyWriter {
+            file: BufWriter::with_capacity(BUFFER_BYTES, file),
+            row_shape: row_shape.to_vec(),
+            elements: 0,
+            checksum: crc32fast::Hasher::new(),
+            element: std::marker::PhantomData,
+        }
+    }
+
+    fn row_elements(&self) -> usize {
+        self.row_shape.iter().product()
+    }
+
+    /// Rows so far.
+    pub(crate) fn rows(&self) -> u64 {
+        self.elements / self.row_elements() as u64
+    }
+
     /// Appends values, in the order of the array's indices.
     pub(crate) fn write(&mut self, values: &[T]) -> io::Result<()> {
-        for &value in values {
-            value.write(&mut self.file)?;
-        }
+        let bytes = bytemuck::cast_slice(values);
+        self.checksum.update(bytes);
         self.elements += values.len() as u64;
-        Ok(())
+        self.file.write_all(bytes)
+    }
+
+    /// Hands what was written to the system, so that the end of this process does not lose it. The result is the
+    /// CRC-32 of what was appended since the last flush, or since rows were taken back.
+    pub(crate) fn flush(&mut self) -> io::Result<u32> {
+        self.file.flush()?;
+        Ok(std::mem::take(&mut self.checksum).finalize())
     }
 
     /// Takes back all rows but the first `rows`.
     pub(crate) fn truncate(&mut self, rows: u64) -> io::Result<()> {
-        let row_elements = self.row_shape.iter().product::<usize>() as u64;
-        self.elements = self.elements.min(rows * row_elements);
+        self.elements = rows * self.row_elements() as u64;
         let bytes = HEADER_BYTES as u64 + self.elements * size_of::<T>() as u64;
         self.file.seek(SeekFrom::Start(bytes))?;
+        self.checksum.reset();
         self.file.get_ref().set_len(bytes)
     }
 
@@ -100,8 +140,7 @@ impl<T: Element> NpyWriter<T> {
     }
 
     fn write_header(&mut self) -> io::Result<()> {
-        let row_elements: usize = self.row_shape.iter().product();
-        let rows = self.elements / row_elements as u64;
+        let rows = self.rows();
         let row_shape: String = self.row_shape.iter().map(|length| format!(" {length},")).collect();
         let descr = T::DESCRIPTION;
         let dictionary =
@@ -110,6 +149,21 @@ impl<T: Element> NpyWriter<T> {
         self.file.write_all(b"\x93NUMPY\x01\x00")?;
         self.file.write_all(&(padded_bytes as u16).to_le_bytes())?;
         writeln!(self.file, "{dictionary:<width$}", width = padded_bytes - 1)
+    }
+}
+
+/// How many bytes there are, and their CRC-32.
+fn checksum_of(mut bytes: impl Read) -> io::Result<(u64, u32)> {
+    let mut checksum = crc32fast::Hasher::new();
+    let mut buffer = vec![0; BUFFER_BYTES];
+    let mut count = 0;
+    loop {
+        let read = bytes.read(&mut buffer)?;
+        if read == 0 {
+            return Ok((count, checksum.finalize()));
+        }
+        count += read as u64;
+        checksum.update(&buffer[..read]);
     }
 }
 
@@ -169,9 +223,17 @@ impl<T: Element> MappedArray<T> {
     /// # Panics
     /// When there is no such row.
     pub(crate) fn row(&self, index: usize) -> &[T] {
+        self.rows_between(index, index + 1)
+    }
+
+    /// Rows from `start` on, up to but not including `end`, one after the other.
+    ///
+    /// # Panics
+    /// When there are no such rows.
+    pub(crate) fn rows_between(&self, start: usize, end: usize) -> &[T] {
         let values: &[T] = bytemuck::cast_slice(&self.file.bytes()[self.data_start..]);
         let length: usize = self.row_shape.iter().product();
-        &values[index * length..(index + 1) * length]
+        &values[start * length..end * length]
     }
 
     /// Says that all rows before `index` have been read.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
 
-use crate::dataset::{LABELS, MANIFEST, Manifest, PEOPLE, RECORDINGS, REPETITIONS, WINDOWS};
+use crate::dataset::{LABELS, MANIFEST, Manifest, PEOPLE, RECORDINGS, REPETITIONS, SPLITS, Split, WINDOWS};
 use crate::npy::{Element, MappedArray};
 
 /// Why a data set cannot be read.
@@ -24,6 +24,7 @@ pub struct StoredDataset {
     people: MappedArray<u16>,
     repetitions: MappedArray<u8>,
     recordings: MappedArray<u32>,
+    splits: MappedArray<u8>,
 }
 
 impl StoredDataset {
@@ -35,13 +36,14 @@ impl StoredDataset {
     /// Opens the data set in `folder`. Only a complete one has its manifest.
     ///
     /// # Errors
-    /// [`StoredDatasetError`], naming the file that is missing, damaged or does not fit the others.
+    /// [`StoredDatasetError`], naming the file that is missing, damaged, of an older version or does not fit the
+    /// others.
     pub fn open(folder: &Path) -> Result<StoredDataset, StoredDatasetError> {
         let wrong = |name: &str, problem: String| StoredDatasetError { path: folder.join(name), problem };
         let text = std::fs::read_to_string(folder.join(MANIFEST))
             .map_err(|error| wrong(MANIFEST, format!("cannot read the manifest of a data set ({error})")))?;
-        let manifest: Manifest =
-            serde_json::from_str(&text).map_err(|error| wrong(MANIFEST, format!("is damaged ({error})")))?;
+        let manifest: Manifest = serde_json::from_str(&text)
+            .map_err(|error| wrong(MANIFEST, format!("is damaged or of an older version ({error})")))?;
         let windows = open_array::<f32>(folder, WINDOWS, 2)?;
         let shape = [manifest.settings.channels.len(), manifest.settings.windows.window_samples];
         if windows.row_shape() != shape {
@@ -53,6 +55,7 @@ impl StoredDataset {
             people: open_array(folder, PEOPLE, 0)?,
             repetitions: open_array(folder, REPETITIONS, 0)?,
             recordings: open_array(folder, RECORDINGS, 0)?,
+            splits: open_array(folder, SPLITS, 0)?,
             windows,
             manifest,
         };
@@ -62,6 +65,7 @@ impl StoredDataset {
             (PEOPLE, dataset.people.rows()),
             (REPETITIONS, dataset.repetitions.rows()),
             (RECORDINGS, dataset.recordings.rows()),
+            (SPLITS, dataset.splits.rows()),
         ];
         for (name, rows) in rows {
             if rows as u64 != dataset.manifest.windows {
@@ -74,6 +78,17 @@ impl StoredDataset {
             let problem =
                 format!("window {index} has label {}, which no gesture has", dataset.gesture_number(index));
             return Err(wrong(LABELS, problem));
+        }
+        if let Some(index) = (0..dataset.len()).find(|index| dataset.split_of(*index).is_none()) {
+            let problem =
+                format!("window {index} is of split {}, not 0, 1 or 2", dataset.splits.row(index)[0]);
+            return Err(wrong(SPLITS, problem));
+        }
+        if !(1..dataset.len()).all(|index| dataset.recording(index - 1) <= dataset.recording(index)) {
+            return Err(wrong(
+                RECORDINGS,
+                "the windows of a recording do not follow on each other".to_owned(),
+            ));
         }
         Ok(dataset)
     }
@@ -114,7 +129,12 @@ impl StoredDataset {
         self.repetitions.row(index)[0]
     }
 
-    /// The window's recording: its place in the manifest's `recordings`.
+    /// What the window is for.
+    pub fn split(&self, index: usize) -> Split {
+        self.split_of(index).expect("splits were checked when the data set was opened")
+    }
+
+    /// The trial that the window was cut from: its place in the manifest's `recordings`.
     pub fn recording(&self, index: usize) -> u32 {
         self.recordings.row(index)[0]
     }
@@ -123,6 +143,10 @@ impl StoredDataset {
     /// process's memory.
     pub fn release_before(&mut self, index: usize) {
         self.windows.release_before(index);
+    }
+
+    fn split_of(&self, index: usize) -> Option<Split> {
+        Split::from_number(self.splits.row(index)[0])
     }
 
     fn gesture_number(&self, index: usize) -> usize {

@@ -6,11 +6,12 @@
 )]
 
 use std::fs;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
 use tendon_gesture::Gesture;
-use tendon_recordings::dataset::{self, DatasetSettings};
+use tendon_recordings::dataset::{self, BuildSettings, DatasetSettings, Progress};
 use tendon_recordings::{
     Channel, Notice, RecordingError, RecordingSettings, RecordingSource, ReplayStream, StoredDataset, check,
 };
@@ -348,6 +349,14 @@ fn runs_of_null_are_refused_where_they_begin() {
     }
 }
 
+fn build(
+    settings: &DatasetSettings,
+    paths: &[PathBuf],
+    out: &Path,
+) -> Result<dataset::Manifest, dataset::DatasetError> {
+    dataset::build(settings, &BuildSettings::default(), paths, out, &mut |_| ControlFlow::Continue(()))
+}
+
 /// The rows of an array as bytes, after checking its header.
 fn npy_rows(path: &Path, description: &str, shape: &str) -> Vec<u8> {
     let bytes = fs::read(path).unwrap();
@@ -371,9 +380,19 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     };
     let out = temporary.path().join("out");
     let mut steps = Vec::new();
+    let mut progress = |step: Progress<'_>| {
+        match step {
+            Progress::Begun { total, resumed, windows, is_other } => {
+                assert_eq!((total, resumed, windows, is_other), (3, 0, 0, false));
+            }
+            Progress::Recording { done, total, .. } => steps.push((done, total)),
+        }
+        ControlFlow::Continue(())
+    };
     let manifest =
-        dataset::build(&settings, &[folder], &out, &mut |step| steps.push((step.done, step.total))).unwrap();
+        dataset::build(&settings, &BuildSettings::default(), &[folder], &out, &mut progress).unwrap();
     assert_eq!(steps, [(1, 3), (2, 3), (3, 3)]);
+    assert!(!out.join("progress.jsonl").exists());
 
     // Rest: 3000 samples without the first 1000, a window of 600 every 150.
     assert_eq!((manifest.recordings[0].gesture, manifest.recordings[0].samples), (Gesture::Rest, 3000));
@@ -448,11 +467,11 @@ fn what_is_cut_in_passing_is_what_a_data_set_holds() {
     };
     let out = temporary.path().join("out");
     let folders = [folder];
-    let manifest = dataset::build(&settings, &folders, &out, &mut |_| {}).unwrap();
+    let manifest = build(&settings, &folders, &out).unwrap();
     let stored = StoredDataset::open(&out).unwrap();
 
     let (mut index, mut trials, mut skipped) = (0, 0, Vec::new());
-    for recording in &dataset::list(&folders).unwrap().recordings {
+    for recording in &dataset::list(&settings, &folders).unwrap().recordings {
         let mut trials_of_windows = Vec::new();
         let cut = dataset::cut(&settings, recording, &mut |window| {
             assert_eq!(window.samples, stored.window(index));
@@ -483,7 +502,7 @@ fn a_data_set_whose_parts_do_not_fit_is_refused_by_name() {
         ..DatasetSettings::default()
     };
     let out = temporary.path().join("out");
-    dataset::build(&settings, &[folder], &out, &mut |_| {}).unwrap();
+    build(&settings, &[folder], &out).unwrap();
     let refused = || StoredDataset::open(&out).map(|_| ()).unwrap_err().to_string();
 
     let labels = fs::read(out.join("labels.npy")).unwrap();
@@ -513,7 +532,7 @@ fn the_windows_of_a_data_set_are_those_of_the_live_chain() {
     }
     let settings = DatasetSettings::default();
     let out = temporary.path().join("out");
-    let manifest = dataset::build(&settings, std::slice::from_ref(&emg), &out, &mut |_| {}).unwrap();
+    let manifest = build(&settings, std::slice::from_ref(&emg), &out).unwrap();
     let bytes = npy_rows(&out.join("windows.npy"), "<f4", &format!("{}, 4, 600,", manifest.windows));
     let windows: Vec<f32> =
         bytes.chunks_exact(4).map(|bytes| f32::from_le_bytes(bytes.try_into().unwrap())).collect();
@@ -557,7 +576,7 @@ fn a_data_set_says_why_it_cannot_be_built() {
     let folder = write_three_dc(temporary.path(), &[(0, 0, 100)]);
     let out = temporary.path().join("out");
     let message = |settings: &DatasetSettings, folder: &Path| {
-        dataset::build(settings, &[folder.to_owned()], &out, &mut |_| {}).unwrap_err().to_string()
+        build(settings, &[folder.to_owned()], &out).unwrap_err().to_string()
     };
     let two = DatasetSettings { channels: vec![Channel::Index(0)], ..Default::default() };
     assert!(message(&two, &folder).contains("a window has 600"));

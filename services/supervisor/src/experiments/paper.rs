@@ -79,9 +79,12 @@ mod tests {
         let known = |name: &str| MODELS.iter().any(|model| model.name == name) || name == "window-300";
         assert!(paper.models.keys().all(|name| known(name)));
         assert_eq!(paper.models.len(), 9);
-        assert!(paper.models.iter().all(|(name, model)| {
-            model.per_class.len() == if name == "five-gesture" { 5 } else { 6 }
-        }));
+        assert!(
+            paper
+                .models
+                .iter()
+                .all(|(name, model)| { model.per_class.len() == if name == "five-gesture" { 5 } else { 6 } })
+        );
         assert!(Strategy::ALL.iter().all(|strategy| paper.strategies.contains_key(strategy.name())));
         // Each table's accuracy is the mean recall, weighted by windows.
         for (name, model) in &paper.models {

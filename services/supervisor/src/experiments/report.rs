@@ -157,7 +157,10 @@ impl Report<'_> {
             "Accuracy: mean ± standard deviation over the seeds (lowest to highest). \"Agrees\" where the means are in \
              the paper's order; a difference smaller than the spreads together says little.\n"
         )?;
-        writeln!(self.text, "| the paper: | better | worse | data set | better | worse | |\n|---|---|---|---|---|---|---|")?;
+        writeln!(
+            self.text,
+            "| the paper: | better | worse | data set | better | worse | |\n|---|---|---|---|---|---|---|"
+        )?;
         for (better, worse, words) in ORDERINGS {
             let paper = [better, worse].map(|name| self.paper.models[name].accuracy);
             for results in self.results {
@@ -411,12 +414,14 @@ impl Report<'_> {
             }
         }
         for results in self.results.iter().filter(|results| !results.live.is_empty()) {
-            writeln!(
-                self.text,
-                "\n![window start to command, {}]({}/figures/window-start-to-command.png)",
-                results.source,
-                results.source.to_lowercase()
-            )?;
+            for strategy in results.live.keys() {
+                writeln!(
+                    self.text,
+                    "\n![window start to command, {0}, {strategy}]({1}/figures/{strategy}/window-start-to-command.png)",
+                    results.source,
+                    results.source.to_lowercase()
+                )?;
+            }
         }
         Ok(())
     }
@@ -454,7 +459,10 @@ fn own_line(source: &str, runs: &[Scores]) -> String {
     let people = &first.evaluation.people;
     line += &format!(", by person {:.4} to {:.4}", people.min, people.max);
     if let Some(pair) = &first.evaluation.most_confused {
-        line += &format!(", most confused: {} taken for {} ({} windows)", pair.truth, pair.predicted, pair.windows);
+        line += &format!(
+            ", most confused: {} taken for {} ({} windows)",
+            pair.truth, pair.predicted, pair.windows
+        );
     }
     line
 }

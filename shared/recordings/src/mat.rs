@@ -1,0 +1,462 @@
+//! Numbers out of MATLAB's MAT-files, level 5: what `save -v7`, `save -v6` and SciPy write.
+//!
+//! ```text
+//! 124 bytes text and offsets | version 0x0100 | IM: little endian
+//! type, bytes | data            a variable is a matrix (type 14) …
+//! type, bytes | zlib stream     … or a compressed one (type 15), in which the same is found
+//!   matrix: flags, dimensions, name, then the values column by column, in the smallest type that holds them
+//! ```
+//! A matrix is read column by column as it is decompressed: of one of 1280000 × 4 only the columns asked for come
+//! into memory, as `f32`.
+
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+
+use flate2::bufread::ZlibDecoder;
+
+/// What can be wrong with a MAT-file. Each message says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum MatError {
+    /// What the system says of the file.
+    #[error("cannot be read ({0}); check its permissions, or copy it again if it was cut off")]
+    Read(#[from] io::Error),
+    /// MATLAB 7.3 writes HDF5.
+    #[error(
+        "is of MATLAB 7.3 (HDF5), which is not read: load it in MATLAB and save it again with `save -v7`"
+    )]
+    Hdf5,
+    /// Something else.
+    #[error("is no MAT-file of level 5: save it with `save -v7`")]
+    NoMatFile,
+    /// Written on a machine of another byte order.
+    #[error("has its bytes in big-endian order: load it in MATLAB and save it again with `save -v7`")]
+    BigEndian,
+    /// Contents that contradict themselves.
+    #[error("is damaged: {0}; copy it again")]
+    Damaged(&'static str),
+    /// A variable that is not there.
+    #[error("has no variable `{name}` (it has: {})", .available.join(", "))]
+    NoVariable {
+        /// The variable asked for.
+        name: &'static str,
+        /// Those that are there.
+        available: Vec<String>,
+    },
+    /// A variable that is no matrix of real numbers.
+    #[error("variable `{name}` is {found}, not {expected}")]
+    Shape {
+        /// The variable.
+        name: &'static str,
+        /// What it is.
+        found: String,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// A column beyond the last one.
+    #[error("there is no channel {channel}: variable `{name}` has {columns} (channels 0 to {last})", last = .columns - 1)]
+    NoColumn {
+        /// The variable.
+        name: &'static str,
+        /// The channel asked for.
+        channel: usize,
+        /// Columns of the matrix.
+        columns: usize,
+    },
+    /// One column chosen twice.
+    #[error("channel {0} is chosen twice: choose each channel once")]
+    ChosenTwice(usize),
+    /// NaN, infinity, or a number too large for 32-bit floating point.
+    #[error(
+        "sample {row} of channel {column} is not finite: cut the recording there or choose other channels"
+    )]
+    NotFinite {
+        /// Row, counted from 0.
+        row: usize,
+        /// Column, counted from 0.
+        column: usize,
+    },
+}
+
+/// An open MAT-file.
+#[derive(Debug)]
+pub struct MatFile<R> {
+    file: R,
+    variables: Vec<Variable>,
+}
+
+/// A variable of the file, its values not yet read.
+#[derive(Clone, Debug)]
+struct Variable {
+    name: String,
+    /// Whether it is a full matrix of real numbers.
+    is_numeric: bool,
+    rows: usize,
+    columns: usize,
+    /// Where its element begins in the file: the tag.
+    position: u64,
+}
+
+const INT8: u32 = 1;
+const UINT8: u32 = 2;
+const INT16: u32 = 3;
+const UINT16: u32 = 4;
+const INT32: u32 = 5;
+const UINT32: u32 = 6;
+const SINGLE: u32 = 7;
+const DOUBLE: u32 = 9;
+const INT64: u32 = 12;
+const UINT64: u32 = 13;
+const MATRIX: u32 = 14;
+const COMPRESSED: u32 = 15;
+
+/// MATLAB allows names of 63 bytes; what is longer is damage.
+const MAX_NAME_BYTES: u32 = 1 << 12;
+
+impl<R: Read + Seek> MatFile<R> {
+    /// Reads which variables `file` holds.
+    ///
+    /// # Errors
+    /// When it is no MAT-file of level 5, or damaged.
+    pub fn open(file: R) -> Result<MatFile<R>, MatError> {
+        let mut mat = MatFile { file, variables: Vec::new() };
+        let length = mat.file.seek(SeekFrom::End(0))?;
+        mat.file.seek(SeekFrom::Start(0))?;
+        let mut header = [0; 128];
+        if length < 128 {
+            return Err(MatError::NoMatFile);
+        }
+        mat.file.read_exact(&mut header)?;
+        match (&header[124..126], &header[126..]) {
+            _ if header.starts_with(b"\x89HDF") => return Err(MatError::Hdf5),
+            ([0x00, 0x02], b"IM") | ([0x02, 0x00], b"MI") => return Err(MatError::Hdf5),
+            ([0x00, 0x01], b"IM") => {}
+            ([0x01, 0x00], b"MI") => return Err(MatError::BigEndian),
+            _ => return Err(MatError::NoMatFile),
+        }
+        let mut position = 128;
+        while position < length {
+            mat.file.seek(SeekFrom::Start(position))?;
+            let tag = Tag::read(&mut mat.file)?;
+            let next = position + 8 + u64::from(tag.bytes);
+            if next > length {
+                return Err(MatError::Damaged("it ends within a variable"));
+            }
+            if matches!(tag.kind, MATRIX | COMPRESSED) {
+                let variable = Variable::read_head(&mut mat.matrix(position)?, position)?;
+                mat.variables.extend(variable);
+            }
+            position = next;
+        }
+        Ok(mat)
+    }
+
+    /// The matrix whose element begins at `position`, after its tag.
+    fn matrix(&mut self, position: u64) -> Result<Box<dyn Read + '_>, MatError> {
+        self.file.seek(SeekFrom::Start(position))?;
+        let tag = Tag::read(&mut self.file)?;
+        let element = BufReader::new((&mut self.file).take(u64::from(tag.bytes)));
+        if tag.kind == MATRIX {
+            return Ok(Box::new(element));
+        }
+        let mut element = BufReader::new(ZlibDecoder::new(element));
+        if Tag::read(&mut element)?.kind != MATRIX {
+            return Err(MatError::Damaged("what is compressed is no variable"));
+        }
+        Ok(Box::new(element))
+    }
+
+    fn variable(&self, name: &'static str) -> Result<Variable, MatError> {
+        self.variables.iter().find(|variable| variable.name == name).cloned().ok_or_else(|| {
+            let available = self.variables.iter().map(|variable| variable.name.clone()).collect();
+            MatError::NoVariable { name, available }
+        })
+    }
+
+    /// The single number that `name` holds; `None` if there is no such variable, or it holds something else.
+    ///
+    /// # Errors
+    /// When the file is damaged there.
+    pub fn number(&mut self, name: &'static str) -> Result<Option<f64>, MatError> {
+        let Ok(variable) = self.variable(name) else { return Ok(None) };
+        if !variable.is_numeric || (variable.rows, variable.columns) != (1, 1) {
+            return Ok(None);
+        }
+        let mut matrix = self.matrix(variable.position)?;
+        Variable::read_head(&mut matrix, variable.position)?;
+        let mut values = Values::read_tag(&mut matrix)?;
+        Ok(Some(values.next(&mut matrix)?))
+    }
+
+    /// Rows and columns of the matrix `name`.
+    ///
+    /// # Errors
+    /// When there is no such variable, or it is no matrix of real numbers.
+    pub fn shape(&self, name: &'static str) -> Result<(usize, usize), MatError> {
+        let Variable { is_numeric, rows, columns, .. } = self.variable(name)?;
+        if !is_numeric {
+            let expected = "a matrix of real numbers";
+            return Err(MatError::Shape { name, found: "something else".to_owned(), expected });
+        }
+        Ok((rows, columns))
+    }
+
+    /// Columns of the matrix `name`, in the order of `channels` (from 0). A matrix with more columns than rows
+    /// must be transposed before it is saved.
+    ///
+    /// # Errors
+    /// When there is no such variable or column, it is no matrix of real numbers, a value is not finite, or the
+    /// file is damaged.
+    pub fn columns(&mut self, name: &'static str, channels: &[usize]) -> Result<Vec<Vec<f32>>, MatError> {
+        let (rows, columns) = self.shape(name)?;
+        if columns > rows {
+            let found = format!("{rows} × {columns}");
+            return Err(MatError::Shape { name, found, expected: "samples × channels: transpose it" });
+        }
+        if let Some(&channel) = channels.iter().find(|&&channel| channel >= columns) {
+            return Err(MatError::NoColumn { name, channel, columns: columns.max(1) });
+        }
+        let places = |channel: usize| channels.iter().filter(move |&&chosen| chosen == channel).count();
+        if let Some(&channel) = channels.iter().find(|&&channel| places(channel) > 1) {
+            return Err(MatError::ChosenTwice(channel));
+        }
+        let variable = self.variable(name)?;
+        let mut matrix = self.matrix(variable.position)?;
+        Variable::read_head(&mut matrix, variable.position)?;
+        let mut values = Values::read_tag(&mut matrix)?;
+        if values.bytes != rows as u64 * columns as u64 * values.size() as u64 {
+            return Err(MatError::Damaged("the values are not as many as the dimensions say"));
+        }
+        let mut chosen = vec![Vec::new(); channels.len()];
+        for column in 0..=channels.iter().copied().max().unwrap_or(0) {
+            let place = channels.iter().position(|&channel| channel == column);
+            // No more room at once than a damaged length can do harm with.
+            let mut samples = Vec::with_capacity(if place.is_some() { rows.min(1 << 24) } else { 0 });
+            for row in 0..rows {
+                let value = values.next(&mut matrix)? as f32;
+                if place.is_some() {
+                    if !value.is_finite() {
+                        return Err(MatError::NotFinite { row, column });
+                    }
+                    samples.push(value);
+                }
+            }
+            if let Some(place) = place {
+                chosen[place] = samples;
+            }
+        }
+        Ok(chosen)
+    }
+}
+
+impl Variable {
+    /// Reads a matrix up to its values; `None` if it has no name or is no matrix at all.
+    fn read_head(matrix: &mut dyn Read, position: u64) -> Result<Option<Variable>, MatError> {
+        let flags = Tag::read(matrix)?;
+        if flags.kind != UINT32 || flags.bytes != 8 {
+            return Ok(None);
+        }
+        let [class, flags, ..] = read::<8>(matrix)?;
+        const COMPLEX: u8 = 0x08;
+        // Classes 6 to 15: double, single and the integers.
+        let is_real = (6..=15).contains(&class) && flags & COMPLEX == 0;
+        let dimensions = Tag::read(matrix)?;
+        if dimensions.kind != INT32 || dimensions.bytes < 8 || dimensions.bytes > MAX_NAME_BYTES {
+            return Err(MatError::Damaged("a variable has no dimensions"));
+        }
+        let lengths = dimensions.read_data(matrix)?;
+        let mut lengths = lengths
+            .chunks_exact(4)
+            .map(|length| u32::from_le_bytes([length[0], length[1], length[2], length[3]]) as usize);
+        let (rows, columns) = (lengths.next().unwrap_or(0), lengths.next().unwrap_or(0));
+        let is_flat = lengths.next().is_none();
+        let name = Tag::read(matrix)?;
+        if name.kind != INT8 || name.bytes > MAX_NAME_BYTES {
+            return Err(MatError::Damaged("a variable has no name"));
+        }
+        let name = String::from_utf8_lossy(&name.read_data(matrix)?).into_owned();
+        Ok(Some(Variable { name, is_numeric: is_real && is_flat, rows, columns, position }))
+    }
+}
+
+/// Type and length of what follows; up to four bytes follow within the tag itself.
+struct Tag {
+    kind: u32,
+    bytes: u32,
+    within: Option<[u8; 4]>,
+}
+
+impl Tag {
+    fn read(from: &mut (impl Read + ?Sized)) -> Result<Tag, MatError> {
+        let [a, b, c, d, e, f, g, h] = read::<8>(from)?;
+        let (kind, small_bytes) = (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
+        match small_bytes {
+            0 => {
+                let bytes = u32::from_le_bytes([e, f, g, h]);
+                Ok(Tag { kind: kind.into(), bytes, within: None })
+            }
+            1..=4 => Ok(Tag { kind: kind.into(), bytes: small_bytes.into(), within: Some([e, f, g, h]) }),
+            _ => Err(MatError::Damaged("an element has no type")),
+        }
+    }
+
+    /// The data and the padding to a multiple of eight after them. For short ones only.
+    fn read_data(&self, from: &mut dyn Read) -> Result<Vec<u8>, MatError> {
+        if let Some(within) = self.within {
+            return Ok(within[..self.bytes as usize].to_vec());
+        }
+        let mut data = vec![0; self.bytes.next_multiple_of(8) as usize];
+        from.read_exact(&mut data)?;
+        data.truncate(self.bytes as usize);
+        Ok(data)
+    }
+}
+
+/// The values of a matrix, one after the other.
+struct Values {
+    kind: u32,
+    bytes: u64,
+    within: Option<[u8; 4]>,
+}
+
+impl Values {
+    fn read_tag(matrix: &mut dyn Read) -> Result<Values, MatError> {
+        let Tag { kind, bytes, within } = Tag::read(matrix)?;
+        let values = Values { kind, bytes: bytes.into(), within };
+        match kind {
+            INT8 | UINT8 | INT16 | UINT16 | INT32 | UINT32 | SINGLE | DOUBLE | INT64 | UINT64 => Ok(values),
+            _ => Err(MatError::Damaged("values have no known type")),
+        }
+    }
+
+    /// Bytes of a value.
+    fn size(&self) -> usize {
+        match self.kind {
+            INT8 | UINT8 => 1,
+            INT16 | UINT16 => 2,
+            INT32 | UINT32 | SINGLE => 4,
+            _ => 8,
+        }
+    }
+
+    fn next(&mut self, matrix: &mut dyn Read) -> Result<f64, MatError> {
+        let mut bytes = [0; 8];
+        let bytes = &mut bytes[..self.size()];
+        match &mut self.within {
+            Some(within) => {
+                bytes.copy_from_slice(
+                    within.get(..bytes.len()).ok_or(MatError::Damaged("a value is too long"))?,
+                );
+                within.rotate_left(bytes.len());
+            }
+            None => matrix.read_exact(bytes)?,
+        }
+        Ok(match (self.kind, &*bytes) {
+            (INT8, &[a]) => f64::from(a as i8),
+            (UINT8, &[a]) => f64::from(a),
+            (INT16, &[a, b]) => f64::from(i16::from_le_bytes([a, b])),
+            (UINT16, &[a, b]) => f64::from(u16::from_le_bytes([a, b])),
+            (INT32, &[a, b, c, d]) => f64::from(i32::from_le_bytes([a, b, c, d])),
+            (UINT32, &[a, b, c, d]) => f64::from(u32::from_le_bytes([a, b, c, d])),
+            (SINGLE, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
+            (INT64, &[a, b, c, d, e, f, g, h]) => i64::from_le_bytes([a, b, c, d, e, f, g, h]) as f64,
+            (UINT64, &[a, b, c, d, e, f, g, h]) => u64::from_le_bytes([a, b, c, d, e, f, g, h]) as f64,
+            (_, &[a, b, c, d, e, f, g, h]) => f64::from_le_bytes([a, b, c, d, e, f, g, h]),
+            _ => return Err(MatError::Damaged("values have no known type")),
+        })
+    }
+}
+
+fn read<const N: usize>(from: &mut (impl Read + ?Sized)) -> Result<[u8; N], MatError> {
+    let mut bytes = [0; N];
+    from.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Made by `tests/golden/make_mat.py`: `data` 6 × 4, value = 10 row + column + 0.25, `fs` 2000, `iD` 7,
+    /// `labels` and `units` as text; `counts` 3 × 2 of whole numbers, which are stored in a byte each.
+    const COMPRESSED_FILE: &[u8] = include_bytes!("../tests/golden/compressed.mat");
+    const PLAIN_FILE: &[u8] = include_bytes!("../tests/golden/plain.mat");
+
+    fn open(bytes: &[u8]) -> Result<MatFile<Cursor<&[u8]>>, MatError> {
+        MatFile::open(Cursor::new(bytes))
+    }
+
+    #[test]
+    fn columns_come_in_the_order_chosen() {
+        for bytes in [COMPRESSED_FILE, PLAIN_FILE] {
+            let mut mat = open(bytes).unwrap();
+            assert_eq!(mat.shape("data").unwrap(), (6, 4));
+            let columns = mat.columns("data", &[2, 0]).unwrap();
+            let expected = [2.25, 0.25]
+                .map(|first: f32| (0..6).map(|row| first + 10.0 * row as f32).collect::<Vec<_>>());
+            assert_eq!(columns, expected);
+            assert_eq!(mat.number("fs").unwrap(), Some(2000.0));
+            assert_eq!(mat.number("iD").unwrap(), Some(7.0));
+            assert_eq!((mat.number("units").unwrap(), mat.number("none").unwrap()), (None, None));
+            assert_eq!(mat.columns("counts", &[0, 1]).unwrap(), [[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]]);
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_in_words() {
+        let message = |result: Result<Vec<Vec<f32>>, MatError>| result.unwrap_err().to_string();
+        let mut mat = open(PLAIN_FILE).unwrap();
+        assert!(message(mat.columns("data", &[4])).contains("no channel 4"));
+        assert!(message(mat.columns("data", &[1, 1])).contains("chosen twice"));
+        assert!(message(mat.columns("signal", &[0])).contains("(it has: data, fs"));
+        assert!(message(mat.columns("wide", &[0])).contains("transpose it"));
+        assert!(message(mat.columns("gap", &[0])).contains("sample 1 of channel 0 is not finite"));
+        assert!(mat.columns("gap", &[1]).is_ok());
+        assert!(message(mat.columns("units", &[0])).contains("not a matrix of real numbers"));
+    }
+
+    #[test]
+    fn other_files_are_told_apart() {
+        let mut newer = PLAIN_FILE.to_vec();
+        newer[124..128].copy_from_slice(b"\x00\x02IM");
+        assert!(open(&newer).unwrap_err().to_string().contains("save -v7"));
+        newer[124..128].copy_from_slice(b"\x01\x00MI");
+        assert!(matches!(open(&newer), Err(MatError::BigEndian)));
+        assert!(matches!(open(b"1,2,3\n"), Err(MatError::NoMatFile)));
+        assert!(matches!(open(&[b' '; 200]), Err(MatError::NoMatFile)));
+    }
+
+    #[test]
+    fn a_file_cut_off_anywhere_is_an_error_or_lacks_variables() {
+        for bytes in [COMPRESSED_FILE, PLAIN_FILE] {
+            for length in 0..bytes.len() {
+                if let Ok(mut mat) = open(&bytes[..length]) {
+                    let _ = (mat.columns("data", &[0, 3]), mat.number("iD"));
+                    assert!(mat.variables.len() < 8, "{length} bytes");
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_damage_makes_it_panic(
+            is_compressed: bool,
+            damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        ) {
+            let mut bytes = if is_compressed { COMPRESSED_FILE } else { PLAIN_FILE }.to_vec();
+            for (place, value) in damage {
+                let place = place.index(bytes.len());
+                bytes[place] = value;
+            }
+            if let Ok(mut mat) = open(&bytes) {
+                let _ = mat.number("fs");
+                if let Ok(columns) = mat.columns("data", &[0, 3]) {
+                    prop_assert!(columns.iter().flatten().all(|sample| sample.is_finite()));
+                }
+            }
+        }
+    }
+}
