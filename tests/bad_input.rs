@@ -60,6 +60,16 @@ fn a_model_for_another_session() {
 }
 
 #[test]
+fn a_first_stage_that_is_none() {
+    let five = tendon_system_tests::model("cnn-five-gesture");
+    let setting = format!("inference.rest_move_model={}", five.display());
+    assert_refused(
+        &["--strategy", "two_stage", "--set", &setting],
+        &["cnn-five-gesture.onnx", "whose first stage needs a model of rest and move"],
+    );
+}
+
+#[test]
 fn no_runtime_library() {
     let ended = TendonBuilder::run(&unique_session()).env("ORT_DYLIB_PATH", "/nonexistent").end();
     ended.assert_failed(2, &["/nonexistent", "there is no such file", "scripts/fetch-onnxruntime"]);

@@ -82,10 +82,19 @@ fn a_data_set_is_built_from_real_recordings() {
     assert!((1..1000).contains(&(bytes - windows * 4 * 600 * 4)), "{bytes} bytes for {windows} windows");
 }
 
-/// A data set of one person, whose recording is made here.
-fn build_data_set(folder: &std::path::Path) -> std::path::PathBuf {
-    let recording = folder.join("Participant7/train/EMG");
+/// Somebody whom no model that comes with Tendon was trained on.
+const PERSON: &str = "50";
+
+/// A recording of that person, made here.
+fn write_recording(folder: &std::path::Path) -> std::path::PathBuf {
+    let recording = folder.join(format!("Participant{PERSON}/train/EMG"));
     write_three_dc(&recording);
+    recording
+}
+
+/// A data set of that person.
+fn build_data_set(folder: &std::path::Path) -> std::path::PathBuf {
+    let recording = write_recording(folder);
     let out = folder.join("windows");
     let build =
         TendonBuilder::command(&unique_session(), &["dataset", "build", "--channels", "0,1,2,3", "--out"]);
@@ -105,7 +114,7 @@ fn a_model_is_scored_on_a_data_set() {
     };
     let ended = evaluate("cnn-six-class").arg("--json").arg(&json).arg("--figures").arg(&figures).end();
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
-    assert!(ended.output.contains("person 7"), "{ended:#?}");
+    assert!(ended.output.contains("person 50"), "{ended:#?}");
     let scores: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap();
     let manifest = std::fs::read_to_string(dataset.join("manifest.json")).unwrap();
     let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
@@ -133,8 +142,8 @@ fn an_evaluation_that_makes_no_sense_is_refused() {
         let command = TendonBuilder::command(&unique_session(), &["evaluate"]).arg(dataset);
         command.arg("--model").arg(model("cnn-six-class")).args(arguments).end()
     };
-    evaluate(&dataset, &["--people", "8"]).assert_failed(2, &["--people 8", "the data set has only 7"]);
-    evaluate(folder.path(), &[]).assert_failed(2, &["manifest.json", "tendon dataset build"]);
+    evaluate(&dataset, &["--people", "8"]).assert_failed(2, &["--people 8", "there are only 50"]);
+    evaluate(&folder.path().join("nothing"), &[]).assert_failed(2, &["nothing"]);
     let labels = dataset.join("labels.npy");
     let complete = std::fs::read(&labels).unwrap();
     std::fs::write(&labels, &complete[..complete.len() - 1]).unwrap();
@@ -142,9 +151,112 @@ fn an_evaluation_that_makes_no_sense_is_refused() {
 
     // Windows of two channels are none for a model of four.
     let out = folder.path().join("two-channels");
-    let recording = folder.path().join("Participant7/train/EMG");
+    let recording = folder.path().join(format!("Participant{PERSON}/train/EMG"));
     let build =
         TendonBuilder::command(&unique_session(), &["dataset", "build", "--channels", "0,1", "--out"]);
     assert_eq!(build.arg(&out).arg(&recording).end().exit_code, Some(0));
     evaluate(&out, &[]).assert_failed(2, &["channels: the model wants 4, the data set has 2"]);
+}
+
+#[test]
+fn recordings_are_scored_as_the_data_set_cut_from_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let dataset = build_data_set(folder.path());
+    let scores = |paths: &std::path::Path| -> serde_json::Value {
+        let json = folder.path().join("scores.json");
+        let command = TendonBuilder::command(&unique_session(), &["evaluate", "--channels", "0,1,2,3"]);
+        let command = command.arg(paths).arg("--model").arg(model("cnn-six-class")).arg("--json").arg(&json);
+        let ended = command.end();
+        assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+        serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap()
+    };
+    let [of_dataset, of_recordings] =
+        [scores(&dataset), scores(&folder.path().join(format!("Participant{PERSON}")))];
+    for key in ["windows", "accuracy", "loss", "confusion", "per_person", "per_repetition"] {
+        assert_eq!(of_dataset[key], of_recordings[key], "{key}");
+    }
+    assert!(of_dataset["windows"].as_u64().unwrap() > 0);
+}
+
+#[test]
+fn nobody_is_scored_whom_the_model_was_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    write_three_dc(&folder.path().join("Participant7/train/EMG"));
+    let evaluate = |arguments: &[&str]| {
+        let command = TendonBuilder::command(&unique_session(), &["evaluate"]).arg(folder.path());
+        command.arg("--model").arg(model("cnn-six-class")).args(arguments).end()
+    };
+    evaluate(&["--people", "7"]).assert_failed(2, &["--people 7: the model was trained on", "somebody new"]);
+    evaluate(&[]).assert_failed(2, &["trained on everybody here (7)", "--test-people"]);
+    // Beside somebody new, the other is left out.
+    write_recording(folder.path());
+    let ended = evaluate(&[]);
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    assert!(ended.output.contains("on people 50"), "{ended:#?}");
+}
+
+#[test]
+fn all_three_strategies_are_scored_on_continuous_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    write_recording(folder.path());
+    let json = folder.path().join("strategies.json");
+    let command = TendonBuilder::command(&unique_session(), &["strategies", "--json"]);
+    let command = command.arg(&json).arg(folder.path());
+    let command = command.arg("--five-gesture-model").arg(model("cnn-five-gesture"));
+    let command = command.arg("--rest-move-model").arg(model("cnn-rest-move"));
+    let ended = command.arg("--six-class-model").arg(model("cnn-six-class")).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    let scores: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap();
+    for strategy in ["threshold", "two_stage", "direct"] {
+        let scores = &scores["strategies"][strategy];
+        assert_eq!(scores["repetitions"], 1, "{scores:#}");
+        // 6 s of rest, 3 s of extension, 3 s of grip.
+        assert_eq!(scores["scored_s"], 12.0, "{scores:#}");
+        // Rest counts from 500 ms on: (6000 - 500 - 300) / 75 and one.
+        assert_eq!(scores["per_gesture"]["rest"]["windows"], 70, "{scores:#}");
+        assert!(scores["window_start_to_command_ms"]["mean"].as_f64().unwrap() > 300.0, "{scores:#}");
+    }
+    // The activity detector hears that nobody moves.
+    let at_rest = &scores["strategies"]["threshold"]["per_gesture"]["rest"];
+    assert_eq!(at_rest["correct_percent"], 100.0, "{scores:#}");
+}
+
+#[test]
+fn experiments_report_on_the_models_that_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = folder.path().join("recordings");
+    write_recording(&recordings);
+    write_three_dc(&recordings.join("Participant51/train/EMG"));
+    let out = folder.path().join("experiments");
+    let models = out.join("3dc/models");
+    std::fs::create_dir_all(&models).unwrap();
+    for (file, name) in
+        [("cnn-five-gesture", "five-gesture"), ("cnn-rest-move", "rest-move"), ("cnn-six-class", "cnn-raw")]
+    {
+        std::fs::copy(model(file), models.join(format!("{name}-30epochs-seed0.onnx"))).unwrap();
+    }
+    let command = TendonBuilder::command(&unique_session(), &["experiments", "--no-training", "--no-live"]);
+    let command = command.args(&["--three-dc-test-people", PERSON, "--three-dc"]).arg(&recordings);
+    let ended = command.arg("--out").arg(&out).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    let report = std::fs::read_to_string(out.join("report.md")).unwrap();
+    for part in [
+        "Ozdemir: no recordings were given",
+        "3DC: lstm-raw-30epochs-seed2 is not trained yet",
+        "| extension | 39/200 (19.5 %) |",
+        "- paper: accuracy 0.8646, loss 0.5178",
+        "- 3DC: accuracy 0.",
+        "| the CNN over the LSTM, on the filtered signal | 0.8646 | 0.7032 | 3DC | not trained |",
+        "| 3DC threshold | 3DC two_stage | 3DC direct |",
+    ] {
+        assert!(report.contains(part), "`{part}` is not in {report}");
+    }
+    assert!(out.join("3dc/figures/cnn-raw-30epochs-seed0-confusion.png").is_file());
+    let json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(out.join("report.json")).unwrap()).unwrap();
+    assert_eq!(json[0]["source"], "3DC");
+    assert!(json[0]["models"]["cnn-raw"][0]["windows"].as_u64().unwrap() > 0, "{json:#}");
+
+    let nothing = TendonBuilder::command(&unique_session(), &["experiments"]).end();
+    nothing.assert_failed(2, &["--three-dc FOLDER", "scripts/fetch-data"]);
 }

@@ -4,7 +4,7 @@
 use nix::sys::signal::Signal;
 use tendon_gesture::Gesture;
 use tendon_latency::Report;
-use tendon_system_tests::{TendonBuilder, unique_session};
+use tendon_system_tests::{TendonBuilder, model, unique_session};
 
 /// What a stage may have published after the next one stopped, or what lies in a full queue.
 const UNDER_WAY: u64 = 64;
@@ -45,6 +45,26 @@ fn a_simulated_session_ends_in_time_with_a_consistent_report_and_leaves_nothing_
     for line in ["transit (publish to receive)", "newest sample to command", "recognition"] {
         assert!(ended.output.contains(line), "`{line}` is not in {}", ended.output);
     }
+}
+
+#[test]
+fn the_two_stage_strategy_asks_two_models() {
+    let rest_move = model("cnn-rest-move");
+    let setting = format!("inference.rest_move_model={}", rest_move.display());
+    let ended = TendonBuilder::run(&unique_session())
+        .args(&["--duration", "4s", "--script", "rest 1s, grip 1s", "--strategy", "two_stage", "--set", &setting])
+        .end();
+    let report = ended.report();
+    assert_consistent(&report);
+    assert_eq!(report.strategy, "two_stage");
+    assert!(report.model.contains("cnn-rest-move.onnx, ") && report.model.ends_with("cnn-five-gesture.onnx"));
+    assert!(report.recognition.windows > 0, "{report:#?}");
+    // Rest is said by the first stage only, gestures by the second only; both are.
+    for gesture in ["rest", "grip"] {
+        assert!(report.recognition.per_gesture[gesture].correct > 0, "{report:#?}");
+    }
+    let allocations: u64 = report.allocations.values().sum();
+    assert_eq!(allocations, 0, "{report:#?}");
 }
 
 #[test]

@@ -48,18 +48,30 @@ impl PseudoEmg {
 
 /// Writes the stretches as a table, one line a sample, one column a channel.
 pub fn write_table(path: &Path, stretches: &[Stretch]) {
+    write_columns(path, stretches, CHANNELS);
+}
+
+/// Writes so many columns: beyond the channels, these again.
+fn write_columns(path: &Path, stretches: &[Stretch], columns: usize) {
     let mut emg = PseudoEmg::default();
     let mut text = String::new();
     for stretch in stretches {
         for _ in 0..stretch.samples {
-            let [a, b, c, d] = emg.frame(stretch.amplitudes);
-            writeln!(text, "{a:.2},{b:.2},{c:.2},{d:.2}").unwrap();
+            let frame = emg.frame(stretch.amplitudes);
+            for column in 0..columns {
+                let separator = if column == 0 { "" } else { "," };
+                write!(text, "{separator}{:.2}", frame[column % CHANNELS]).unwrap();
+            }
+            text.push('\n');
         }
     }
     std::fs::write(path, text).unwrap();
 }
 
-/// Writes a folder of the 3DC layout (1000 Hz), whose one repetition is 6 s of rest, 3 s with the cue
+/// Columns of the armband of the 3DC data set.
+const THREE_DC_COLUMNS: usize = 10;
+
+/// Writes a folder of the 3DC layout (1000 Hz, ten columns), whose one repetition is 6 s of rest, 3 s with the cue
 /// extension and 3 s with the cue grip. Its cues make recognition count windows.
 pub fn write_three_dc(folder: &Path) {
     std::fs::create_dir_all(folder).unwrap();
@@ -67,7 +79,7 @@ pub fn write_three_dc(folder: &Path) {
     // Numbers of the data set: 0 rest, 4 extension, 7 grip.
     for (number, samples, amplitudes) in [(0, 6000, REST), (4, 3000, MOVEMENT), (7, 3000, grip)] {
         let file = folder.join(format!("3dc_EMG_gesture_0_{number}.txt"));
-        write_table(&file, &[Stretch { samples, amplitudes }]);
+        write_columns(&file, &[Stretch { samples, amplitudes }], THREE_DC_COLUMNS);
     }
 }
 
