@@ -52,7 +52,16 @@ fn the_two_stage_strategy_asks_two_models() {
     let rest_move = model("cnn-rest-move");
     let setting = format!("inference.rest_move_model={}", rest_move.display());
     let ended = TendonBuilder::run(&unique_session())
-        .args(&["--duration", "4s", "--script", "rest 1s, grip 1s", "--strategy", "two_stage", "--set", &setting])
+        .args(&[
+            "--duration",
+            "4s",
+            "--script",
+            "rest 1s, grip 1s",
+            "--strategy",
+            "two_stage",
+            "--set",
+            &setting,
+        ])
         .end();
     let report = ended.report();
     assert_consistent(&report);

@@ -273,11 +273,7 @@ struct Scorer {
     classifier: Classifier,
     people: BTreeSet<u16>,
     tally: Tally,
-    /// The last windows of the current trial, for a model of sequences.
-    sequence: Vec<f32>,
-    trial: Option<u64>,
-    /// How many windows of the current trial have come.
-    windows_of_trial: usize,
+    sequence: Sequence,
     start: Instant,
     next_progress: Instant,
 }
@@ -288,12 +284,10 @@ impl Scorer {
         let tally = Tally::new(classes);
         let start = Instant::now();
         Scorer {
-            sequence: vec![0.0; sequence_windows * channels * window_samples],
+            sequence: Sequence::new(sequence_windows, channels * window_samples),
             classifier,
             people,
             tally,
-            trial: None,
-            windows_of_trial: 0,
             start,
             next_progress: start + PROGRESS_INTERVAL,
         }
@@ -305,21 +299,7 @@ impl Scorer {
         }
         let Some(truth) = self.tally.class_of(window.gesture) else { return Ok(()) };
         let start = Instant::now();
-        let input = if self.sequence.len() == window.samples.len() {
-            window.samples
-        } else {
-            if self.trial.replace(window.trial) != Some(window.trial) {
-                self.windows_of_trial = 0;
-            }
-            self.windows_of_trial += 1;
-            self.sequence.copy_within(window.samples.len().., 0);
-            let newest = self.sequence.len() - window.samples.len();
-            self.sequence[newest..].copy_from_slice(window.samples);
-            if self.windows_of_trial < self.sequence.len() / window.samples.len() {
-                return Ok(());
-            }
-            &self.sequence
-        };
+        let Some(input) = self.sequence.push(window.trial, window.samples) else { return Ok(()) };
         let probabilities = self.classifier.classify(input)?;
         let work_ns = start.elapsed().as_nanos() as u64;
         let origin = Origin { person: window.person, repetition: window.repetition };
@@ -368,6 +348,38 @@ impl Scorer {
     }
 }
 
+/// The newest windows of a trial, as a model of sequences wants them.
+struct Sequence {
+    windows: usize,
+    /// One after the other `[windows × channels × samples]`; not used by a model of single windows.
+    samples: Vec<f32>,
+    trial: Option<u64>,
+    /// How many windows of the trial have come.
+    windows_of_trial: usize,
+}
+
+impl Sequence {
+    fn new(windows: usize, window_length: usize) -> Sequence {
+        let length = if windows > 1 { windows * window_length } else { 0 };
+        Sequence { windows, samples: vec![0.0; length], trial: None, windows_of_trial: 0 }
+    }
+
+    /// The sequence that ends with `window`; `None` while its trial has not had enough.
+    fn push<'a>(&'a mut self, trial: u64, window: &'a [f32]) -> Option<&'a [f32]> {
+        if self.windows == 1 {
+            return Some(window);
+        }
+        if self.trial.replace(trial) != Some(trial) {
+            self.windows_of_trial = 0;
+        }
+        self.windows_of_trial += 1;
+        self.samples.copy_within(window.len().., 0);
+        let newest = self.samples.len() - window.len();
+        self.samples[newest..].copy_from_slice(window);
+        (self.windows_of_trial >= self.windows).then_some(&self.samples)
+    }
+}
+
 /// Writes the confusion matrix and the histogram of work into `folder`, named after `model`.
 ///
 /// # Errors
@@ -383,4 +395,46 @@ pub fn write_figures(folder: &Path, model: &Path, tally: &Tally) -> anyhow::Resu
         latency_figure(&path("work"), &format!("{name}: time for a window"), tally.work())?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sequence_is_what_came_before_in_the_same_trial() {
+        let mut sequence = Sequence::new(3, 2);
+        let windows: Vec<[f32; 2]> = (0..6).map(|index| [index as f32, 0.5]).collect();
+        let mut ended = Vec::new();
+        for (index, window) in windows.iter().enumerate() {
+            // Four windows of one trial, two of the next.
+            let trial = u64::from(index >= 4);
+            ended.push(sequence.push(trial, window).map(<[f32]>::to_vec));
+        }
+        assert_eq!(ended[..2], [None, None]);
+        assert_eq!(ended[2], Some(vec![0.0, 0.5, 1.0, 0.5, 2.0, 0.5]));
+        assert_eq!(ended[3], Some(vec![1.0, 0.5, 2.0, 0.5, 3.0, 0.5]));
+        assert_eq!(ended[4..], [None, None]);
+
+        let mut single = Sequence::new(1, 2);
+        assert_eq!(single.push(0, &windows[3]), Some(&windows[3][..]));
+    }
+
+    #[test]
+    fn people_are_those_wanted_or_all_but_never_those_trained_on() {
+        let set = |people: &[u16]| people.iter().copied().collect::<BTreeSet<u16>>();
+        let chosen = |wanted: &[u16]| chosen_people(&set(&[1, 2, 3]), wanted, &set(&[2, 9]));
+        assert_eq!(chosen(&[]).unwrap(), set(&[1, 3]));
+        assert_eq!(chosen(&[3]).unwrap(), set(&[3]));
+        assert!(
+            chosen(&[3, 2]).unwrap_err().to_string().contains("--people 2: the model was trained on 2, 9")
+        );
+        assert!(chosen(&[4]).unwrap_err().to_string().contains("--people 4: there are only 1, 2, 3"));
+        assert!(
+            chosen_people(&set(&[2]), &[], &set(&[2]))
+                .unwrap_err()
+                .to_string()
+                .contains("everybody here (2)")
+        );
+    }
 }

@@ -7,7 +7,8 @@
 //!                                                   └─▶ check: the whole recording read once, refused or summed up
 //! ```
 //! A recording is one text file with a line a sample and a column a channel, or several that follow on
-//! without a gap, each with the *cue* its person was given: the layouts are in [`RecordingSource::open`].
+//! without a gap, each with the *cue* its person was given: what can be replayed is in [`RecordingSource::open`].
+//! Data sets are also made of MAT-files and of tables with labels: see [`dataset::list`].
 //!
 //! Nothing is allocated a sample once a recording is open, and memory use does not grow with its length.
 #![deny(unsafe_code)]
@@ -17,7 +18,7 @@ mod error;
 mod labels;
 mod mapped;
 pub mod mat;
-mod npy;
+pub mod npy;
 mod ozdemir;
 mod replay;
 mod source;

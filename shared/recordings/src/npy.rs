@@ -223,17 +223,9 @@ impl<T: Element> MappedArray<T> {
     /// # Panics
     /// When there is no such row.
     pub(crate) fn row(&self, index: usize) -> &[T] {
-        self.rows_between(index, index + 1)
-    }
-
-    /// Rows from `start` on, up to but not including `end`, one after the other.
-    ///
-    /// # Panics
-    /// When there are no such rows.
-    pub(crate) fn rows_between(&self, start: usize, end: usize) -> &[T] {
         let values: &[T] = bytemuck::cast_slice(&self.file.bytes()[self.data_start..]);
         let length: usize = self.row_shape.iter().product();
-        &values[start * length..end * length]
+        &values[index * length..][..length]
     }
 
     /// Says that all rows before `index` have been read.
@@ -245,16 +237,21 @@ impl<T: Element> MappedArray<T> {
 
 /// What stands before the data.
 #[derive(Debug, PartialEq, Eq)]
-struct Header {
-    description: String,
-    shape: Vec<usize>,
-    /// Where the data begin.
-    bytes: usize,
+pub struct Header {
+    /// NumPy's name of the type of a value, e.g. `<f4`.
+    pub description: String,
+    /// Length of each dimension.
+    pub shape: Vec<usize>,
+    /// Where the data begin, in bytes.
+    pub bytes: usize,
 }
 
 impl Header {
-    /// Versions 1.0 to 3.0; the dictionary is what `numpy.save` writes.
-    fn parse(file: &[u8]) -> Result<Header, String> {
+    /// Reads the head of `file`: versions 1.0 to 3.0 with the dictionary that `numpy.save` writes.
+    ///
+    /// # Errors
+    /// What is wrong with it, as a sentence.
+    pub fn parse(file: &[u8]) -> Result<Header, String> {
         let broken = || "it is no NumPy array (.npy), or its header is damaged".to_owned();
         let version = file.strip_prefix(b"\x93NUMPY").and_then(|rest| rest.first()).ok_or_else(broken)?;
         let (length, start) = match (version, file.get(8..)) {

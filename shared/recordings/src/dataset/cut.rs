@@ -246,7 +246,7 @@ impl Part<'_> {
         if samples > signal.channels[0].len() {
             let longest_s = (MAX_TRIAL_VALUES / channels) as f64 / rate_hz;
             let reason = format!(
-                "{:.0} s are too long for a trial, {longest_s:.0} s is the most: divide it into several",
+                "{:.1} s are too long for a trial, {longest_s:.1} s is the most: divide it into several",
                 samples as f64 / rate_hz
             );
             return Ok(Some(self.skipped(signal, reason)));

@@ -4,6 +4,8 @@
 
 From the files that the manifest names it makes everything anew: text, resampling, filter, envelope, onset, places of
 the windows, windows. Onsets and places must be the same to the sample, windows to 1e-4 of the largest sample in them.
+Of the split it checks that nobody and no sample is on both sides of the test, how many windows each part has, and what
+the manifest says of those for training, to 1e-9.
 """
 
 import json
@@ -111,5 +113,59 @@ def check(dataset: Path) -> None:
     print(f"{len(entries)} recordings, {onsets} onsets, {checked} windows: all the same; samples to {worst:.1e}")
 
 
+def check_split(dataset: Path) -> None:
+    manifest = json.loads((dataset / "manifest.json").read_text())
+    split, entries = manifest["split"], manifest["recordings"]
+    windows = np.load(dataset / "windows.npy", mmap_mode="r")
+    splits, labels, people, recordings, starts = (
+        np.load(dataset / f"{name}.npy") for name in ("splits", "labels", "people", "recordings", "starts")
+    )
+    training, validation, test = (splits == number for number in range(3))
+    assert set(people[test]) == set(split["test_people"]), split
+    assert set(people[~test]) == set(split["train_people"]), split
+    assert not set(split["test_people"]) & set(split["train_people"]), split
+    counts = {"train": training.sum(), "validation": validation.sum(), "test": test.sum()}
+    assert counts == split["windows"], counts
+    assert sum(counts.values()) == len(windows)
+
+    # Which samples of each file are on which side.
+    length = manifest["settings"]["windows"]["window_samples"]
+    sides: dict[tuple, set] = {}
+    for index in np.unique(recordings):
+        of_recording = recordings == index
+        entry = entries[index]
+        for is_test in np.unique(test[of_recording]):
+            for start in starts[of_recording & (test == is_test)]:
+                first = entry["first_sample"] + int(start)
+                sides.setdefault((entry["file"], bool(is_test)), set()).update(range(first, first + length))
+    for file, is_test in sides:
+        assert not is_test or not sides[file, True] & sides.get((file, False), set()), file
+
+    statistics = manifest["training_statistics"]
+    channels = windows.shape[1]
+    total = np.zeros((3, channels))
+    for gesture, found in statistics["per_gesture"].items():
+        label = labels[next(entry["first_window"] for entry in entries if entry["gesture"] == gesture)]
+        of_gesture = labels == label
+        number = (of_gesture & ~test).sum()
+        assert (of_gesture & validation).sum() == np.floor(split["validation_share"] * number + 0.5), gesture
+        chosen = np.flatnonzero(of_gesture & training)
+        assert found["windows"] == len(chosen), gesture
+        sums = np.zeros((3, channels))
+        for part in np.array_split(chosen, max(1, len(chosen) // 1000)):
+            values = windows[part].astype(np.float64)
+            sums += [values.sum((0, 2)), np.abs(values).sum((0, 2)), (values**2).sum((0, 2))]
+        assert (np.abs(found["sum"] - sums[0]) <= 1e-9 * sums[1]).all(), gesture
+        assert (np.abs(found["sum_of_squares"] - sums[2]) <= 1e-9 * sums[2]).all(), gesture
+        total += sums
+    count = training.sum() * length
+    mean = total[0] / count
+    sd = np.sqrt(total[2] / count - mean**2)
+    assert (np.abs(statistics["channel_mean"] - mean) <= 1e-9 * total[1] / count).all()
+    assert (np.abs(statistics["channel_sd"] - sd) <= 1e-9 * sd).all()
+    print(f"split {split['windows']}, test people {split['test_people']}: no leak; statistics the same")
+
+
 if __name__ == "__main__":
     check(Path(sys.argv[1]))
+    check_split(Path(sys.argv[1]))
