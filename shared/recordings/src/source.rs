@@ -11,6 +11,10 @@ use crate::mapped::MappedFile;
 use crate::table::{Channel, Table};
 use crate::three_dc;
 
+/// Frames that are read in one go where there are so many: enough that the going does not matter, few enough to stay
+/// in the fastest cache.
+pub(crate) const FRAMES_AT_ONCE: usize = 256;
+
 /// How a recording is to be read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -140,19 +144,50 @@ impl RecordingSource {
     ///
     /// # Panics
     /// When `frame` is not [`channels`](RecordingSource::channels) long.
-    #[inline]
     pub fn next_frame(&mut self, frame: &mut [f32]) -> Result<Option<Frame>, RecordingError> {
+        assert_eq!(frame.len(), self.channels, "a frame holds one value for each chosen channel");
+        Ok(self.next_frames(frame)?.map(|(_, frame)| frame))
+    }
+
+    /// Reads as many frames as `frames`, `[frames × channels]`, has room for, but not beyond the end of a file: how
+    /// many, at least one, and what holds for all of them; `None` at the end. Nothing is allocated but for an error.
+    ///
+    /// # Errors
+    /// When the next line or the next file cannot be read, with its place: once all frames before it have been given.
+    /// Reading on gives the same error.
+    ///
+    /// # Panics
+    /// When `frames` is not one frame of [`channels`](RecordingSource::channels) or several.
+    pub fn next_frames(&mut self, frames: &mut [f32]) -> Result<Option<(usize, Frame)>, RecordingError> {
+        assert!(
+            !frames.is_empty() && frames.len().is_multiple_of(self.channels),
+            "frames × channels, at least one frame"
+        );
         loop {
-            match self.table.next_row(self.file.bytes(), frame) {
-                Ok(true) => {
-                    self.file.release_before(self.table.position());
-                    let cue = self.segments[self.segment].cue;
-                    return Ok(Some(Frame { segment: self.segment, cue }));
+            let mut count = 0;
+            let mut problem = None;
+            for frame in frames.chunks_exact_mut(self.channels) {
+                match self.table.next_row(self.file.bytes(), frame) {
+                    Ok(true) => count += 1,
+                    Ok(false) => break,
+                    Err(error) => {
+                        problem = Some(error);
+                        break;
+                    }
                 }
-                Ok(false) if self.segment + 1 == self.segments.len() => return Ok(None),
-                Ok(false) => self.open_next_segment()?,
-                Err(error) => return Err(RecordingError::table(&self.segments[self.segment].file)(error)),
             }
+            if count > 0 {
+                self.file.release_before(self.table.position());
+                let cue = self.segments[self.segment].cue;
+                return Ok(Some((count, Frame { segment: self.segment, cue })));
+            }
+            if let Some(error) = problem {
+                return Err(RecordingError::table(&self.segments[self.segment].file)(error));
+            }
+            if self.segment + 1 == self.segments.len() {
+                return Ok(None);
+            }
+            self.open_next_segment()?;
         }
     }
 
@@ -278,10 +313,10 @@ pub struct CueSpan {
 /// The first thing that is wrong with it.
 pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, RecordingError> {
     let mut source = RecordingSource::open(path, settings)?;
-    let mut frame = vec![0.0; source.channels()];
+    let mut frames = vec![0.0; FRAMES_AT_ONCE * source.channels()];
     let mut counts = vec![0_u64; source.segments().len()];
-    while let Some(Frame { segment, .. }) = source.next_frame(&mut frame)? {
-        counts[segment] += 1;
+    while let Some((count, Frame { segment, .. })) = source.next_frames(&mut frames)? {
+        counts[segment] += count as u64;
     }
     let mut samples = 0;
     let cues = source.segments.iter().zip(counts).map(|(segment, count)| {
