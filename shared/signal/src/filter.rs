@@ -211,16 +211,21 @@ fn process_group(
         }
     }
     if started_at.iter().all(|start| *start == started_at[0]) {
-        return replaced + process_lanes(sections, states, signal, started_at[0]..samples.end);
+        let samples = started_at[0]..samples.end;
+        return replaced
+            + match states {
+                [_] => process_lanes::<1>(sections, states, signal, samples),
+                _ => process_lanes::<LANES>(sections, states, signal, samples),
+            };
     }
     for ((state, signal), start) in states.iter_mut().zip(signal.chunks_exact_mut(length)).zip(started_at) {
-        replaced += process_lanes(sections, slice::from_mut(state), signal, *start..samples.end);
+        replaced += process_lanes::<1>(sections, slice::from_mut(state), signal, *start..samples.end);
     }
     replaced
 }
 
-/// As [`process_group`], of channels that have all started.
-fn process_lanes(
+/// As [`process_group`], of channels that have all started, at most `N`.
+fn process_lanes<const N: usize>(
     sections: &[Section],
     states: &mut [ChannelState],
     signal: &mut [f32],
@@ -228,7 +233,7 @@ fn process_lanes(
 ) -> u32 {
     let length = signal.len() / states.len();
     let mut replaced = 0;
-    let mut buffer = [[0.0; LANES]; FLUSH_INTERVAL];
+    let mut buffer = [[0.0; N]; FLUSH_INTERVAL];
     let mut start = samples.start;
     while start < samples.end {
         let until_flush = states.iter().map(|state| state.until_flush).min().unwrap_or(FLUSH_INTERVAL);
@@ -238,7 +243,7 @@ fn process_lanes(
             replaced += state.fill_lane(&signal[start..end], buffer, lane);
         }
         for (number, section) in sections.iter().enumerate() {
-            let mut delays = [[0.0; LANES]; 2];
+            let mut delays = [[0.0; N]; 2];
             for (lane, state) in states.iter().enumerate() {
                 [delays[0][lane], delays[1][lane]] = state.delays[number];
             }
@@ -282,7 +287,7 @@ impl ChannelState {
     }
 
     /// Writes `samples` to a lane of `buffer`, the last good one for each that is not usable, and counts these.
-    fn fill_lane(&mut self, samples: &[f32], buffer: &mut [[f64; LANES]], lane: usize) -> u32 {
+    fn fill_lane<const N: usize>(&mut self, samples: &[f32], buffer: &mut [[f64; N]], lane: usize) -> u32 {
         let mut replaced = 0;
         let mut last_good = self.last_good.unwrap_or(0.0);
         for (values, &sample) in buffer.iter_mut().zip(samples) {
@@ -314,12 +319,12 @@ impl ChannelState {
 /// By itself, every operation becomes one on vectors of neighbouring lanes; inlined, the compiler mixes in what is
 /// around and shuffles lanes more than it computes.
 #[inline(never)]
-fn run_section(section: &Section, delays: &mut [[f64; LANES]; 2], signal: &mut [[f64; LANES]]) {
+fn run_section<const N: usize>(section: &Section, delays: &mut [[f64; N]; 2], signal: &mut [[f64; N]]) {
     let [b0, b1, b2] = section.b;
     let [a1, a2] = section.a;
     let [mut delays_1, mut delays_2] = *delays;
     for values in signal {
-        for lane in 0..LANES {
+        for lane in 0..N {
             let input = values[lane];
             let output = b0 * input + delays_1[lane];
             delays_1[lane] = (b1 * input + delays_2[lane]) - a1 * output;
