@@ -66,7 +66,8 @@ pub struct Scores {
     pub skipped: Vec<String>,
     /// Time from the first byte to the last class, s.
     pub duration_s: f64,
-    /// Seconds of signal for every second.
+    /// Seconds of signal for every second: of recordings, all that was read, windows or not; of a data set, an
+    /// increment for every window.
     pub x_real_time: f64,
     /// The scores.
     #[serde(flatten)]
@@ -150,7 +151,8 @@ pub fn score_dataset(
         };
         scorer.take(&window).with_context(|| format!("window {index}")).map_err(Failure::running)?;
     }
-    scorer.finish(vec![folder.to_owned()], &settings, Vec::new())
+    let increments = scorer.tally.confusion().windows() * settings.windows.increment_samples as u64;
+    scorer.finish(vec![folder.to_owned()], increments as f64 / settings.sample_rate_hz, Vec::new())
 }
 
 /// Scores `classifier` on the windows that are cut from the recordings at or below `paths`.
@@ -195,6 +197,7 @@ pub fn score_recordings(
         found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
     let mut scorer = Scorer::new(classifier, people);
     let mut trials_before = 0;
+    let mut samples = 0;
     for (index, recording) in recordings.iter().enumerate() {
         scorer.show_progress(|| format!("{index} of {} recordings", recordings.len()));
         // A recording that cannot be read to its end counts for nothing.
@@ -215,6 +218,7 @@ pub fn score_recordings(
         match cut {
             Ok(cut) => {
                 trials_before += cut.trials.len() as u64;
+                samples += cut.samples;
                 skipped.extend(cut.skipped.iter().map(ToString::to_string));
             }
             Err(error) => {
@@ -223,7 +227,7 @@ pub fn score_recordings(
             }
         }
     }
-    scorer.finish(paths.to_vec(), &settings, skipped)
+    scorer.finish(paths.to_vec(), samples as f64 / settings.sample_rate_hz, skipped)
 }
 
 /// The people to score among the `known` ones: those `wanted`, or else all; but none whom a model was `trained` on.
@@ -318,7 +322,7 @@ impl Scorer {
     fn finish(
         self,
         paths: Vec<PathBuf>,
-        settings: &DatasetSettings,
+        signal_s: f64,
         skipped: Vec<String>,
     ) -> Result<(Scores, Tally), Failure> {
         let duration_s = self.start.elapsed().as_secs_f64();
@@ -333,7 +337,6 @@ impl Scorer {
                 anyhow!("{}: no window of what the model knows ({classes}){reasons}", paths[0].display());
             return Err(Failure::input(error));
         }
-        let increment_s = settings.windows.increment_samples as f64 / settings.sample_rate_hz;
         let scores = Scores {
             model: self.classifier.path().to_owned(),
             paths,
@@ -341,7 +344,7 @@ impl Scorer {
             validation_accuracy: self.classifier.contract().validation_accuracy,
             skipped,
             duration_s,
-            x_real_time: evaluation.windows as f64 * increment_s / duration_s,
+            x_real_time: signal_s / duration_s,
             evaluation,
         };
         Ok((scores, self.tally))

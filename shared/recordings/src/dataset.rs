@@ -490,7 +490,8 @@ pub fn build(
                     give(Step::Outcome(outcome), bytes)
                 });
                 // Should the other side have broken off, nobody needs this.
-                let _ = give(Step::End(given.map_err(|error| recording.skipped(&error))), 0);
+                let notices = given.map(|(notices, _)| notices).map_err(|error| recording.skipped(&error));
+                let _ = give(Step::End(notices), 0);
             },
             |step| match builder.take(step) {
                 Ok(None) => ControlFlow::Continue(()),

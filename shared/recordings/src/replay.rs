@@ -11,18 +11,19 @@
 //! offset of an amplifier from becoming a step at the recording's ends.
 
 use std::collections::VecDeque;
+use std::num::NonZeroUsize;
 use std::path::Path;
 
 use tendon_gesture::Gesture;
 use tendon_signal::Resampler;
 
 use crate::error::RecordingError;
-use crate::source::{RecordingSettings, RecordingSource};
+use crate::source::{FRAMES_AT_ONCE, RecordingSettings, RecordingSource};
 
 /// The largest number in a resampling ratio: the low-pass has 20 times as many taps.
 const MAX_RATIO: u64 = 100_000;
 
-/// What [`ReplayStream::next_block`] says beside the samples.
+/// What [`ReplayStream::next_block`] and [`ReplayStream::next_piece`] say beside the samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReplayBlock {
     /// Index of the block's first sample since the start of the stream.
@@ -43,7 +44,7 @@ struct CueStart {
     cue: Option<Gesture>,
 }
 
-/// A recording that is read block by block at the session's rate.
+/// A recording that is read block by block, or file by file, at the session's rate.
 #[derive(Debug)]
 pub struct ReplayStream {
     source: RecordingSource,
@@ -51,15 +52,18 @@ pub struct ReplayStream {
     up: u64,
     /// … for so many input samples, in lowest terms.
     down: u64,
-    /// One for each channel; none if the rates are equal.
-    resamplers: Vec<Resampler>,
+    /// `None` if the rates are equal.
+    resampler: Option<Resampler>,
     /// How often the first sample is repeated before the recording.
     padding: u64,
     /// Outputs that are still to be thrown away: of the padding and of the lag.
     skip: u64,
-    frame: Vec<f32>,
-    /// Of each channel, outputs that no block has taken yet.
-    pending: Vec<Vec<f32>>,
+    /// Room for the frames that are read in one go, `[frames × channels]`.
+    frames: Vec<f32>,
+    /// The newest frame.
+    newest: Vec<f32>,
+    /// Outputs that no block has taken yet, `[outputs × channels]`.
+    pending: Vec<f32>,
     /// Inputs read so far.
     inputs: u64,
     is_at_end: bool,
@@ -97,10 +101,10 @@ impl ReplayStream {
         }
         let (up, down) = ratio(source.sample_rate_hz(), sample_rate_hz)?;
         let channels = source.channels();
-        let mut resamplers = Vec::new();
+        let mut resampler = None;
         let (mut padding, mut skip, mut outputs_of_frame) = (0, 0, 1);
         if up != down {
-            let resampler = Resampler::new(up as usize, down as usize)?;
+            let resampler = resampler.insert(Resampler::new(up as usize, down as usize, channels)?);
             // Output j lies at the upsampled place j × down, the first input there at padding × up + lag:
             // with the right padding that is an output.
             let lag = (resampler.delay_samples() * down as f64).round() as u64;
@@ -110,19 +114,20 @@ impl ReplayStream {
             }
             skip = (padding * up + lag) / down;
             outputs_of_frame = resampler.max_output_samples(1);
-            resamplers = vec![resampler; channels];
         }
-        let pending = vec![Vec::with_capacity(block_samples + outputs_of_frame); channels];
+        // No more frames are read at once than a block wants.
+        let pending = Vec::with_capacity((block_samples + outputs_of_frame) * channels);
         let current = CueStart { sample: 0, segment: 0, cue: source.segments()[0].cue };
         let coming = VecDeque::with_capacity(source.segments().len());
         Ok(ReplayStream {
             source,
             up,
             down,
-            resamplers,
+            resampler,
             padding,
             skip,
-            frame: vec![0.0; channels],
+            frames: vec![0.0; FRAMES_AT_ONCE * channels],
+            newest: vec![0.0; channels],
             pending,
             inputs: 0,
             is_at_end: false,
@@ -153,31 +158,89 @@ impl ReplayStream {
     /// # Panics
     /// When `out` is not `channels × block_samples` long.
     pub fn next_block(&mut self, out: &mut [f32]) -> Result<Option<ReplayBlock>, RecordingError> {
-        assert_eq!(out.len(), self.pending.len() * self.block_samples, "a block is channels × block_samples");
-        while self.pending[0].len() < self.block_samples {
-            if !self.read()? {
-                self.dropped_samples = self.pending[0].len() as u64;
+        let channels = self.newest.len();
+        assert_eq!(out.len(), channels * self.block_samples, "a block is channels × block_samples");
+        while self.pending_samples() < self.block_samples {
+            if !self.read(self.block_samples - self.pending_samples())? {
+                self.dropped_samples = self.pending_samples() as u64;
                 return Ok(None);
             }
         }
-        for (out, pending) in out.chunks_exact_mut(self.block_samples).zip(&mut self.pending) {
-            out.copy_from_slice(&pending[..self.block_samples]);
-            pending.drain(..self.block_samples);
-        }
         let first_sample = self.next_output;
-        self.next_output += self.block_samples as u64;
+        self.take(out);
         while let Some(start) = self.coming.front().filter(|start| start.sample < self.next_output) {
             self.current = *start;
             self.coming.pop_front();
         }
-        let CueStart { sample: cue_since, segment, cue } = self.current;
-        Ok(Some(ReplayBlock { first_sample, cue, cue_since, segment }))
+        Ok(Some(self.block_at(first_sample)))
     }
 
-    /// Takes in one more frame, or what lies beyond the last; `false` when all outputs are made.
-    fn read(&mut self) -> Result<bool, RecordingError> {
+    /// Writes the next samples, which all have the same cue, into `out`, `[channels × samples]`: as many as there are up
+    /// to the next cue, but at most `most`. `None` at the end, `out` then being empty. A segment so short that no sample
+    /// falls into it is passed over.
+    ///
+    /// # Errors
+    /// When the recording cannot be read on.
+    pub fn next_piece(
+        &mut self,
+        out: &mut Vec<f32>,
+        most: NonZeroUsize,
+    ) -> Result<Option<ReplayBlock>, RecordingError> {
+        out.clear();
+        let samples = loop {
+            while let Some(start) = self.coming.front().filter(|start| start.sample <= self.next_output) {
+                self.current = *start;
+                self.coming.pop_front();
+            }
+            let left = self.coming.front().map(|next| (next.sample - self.next_output) as usize);
+            let samples = left.map_or(most.get(), |left| left.min(most.get()));
+            if samples <= self.pending_samples() {
+                break samples;
+            }
+            if !self.read(usize::MAX)? {
+                break self.pending_samples();
+            }
+        };
+        if samples == 0 {
+            return Ok(None);
+        }
+        let first_sample = self.next_output;
+        out.resize(samples * self.newest.len(), 0.0);
+        self.take(out);
+        Ok(Some(self.block_at(first_sample)))
+    }
+
+    /// The block that begins at `first_sample` and ends with a sample under the current cue.
+    fn block_at(&self, first_sample: u64) -> ReplayBlock {
+        let CueStart { sample: cue_since, segment, cue } = self.current;
+        ReplayBlock { first_sample, cue, cue_since, segment }
+    }
+
+    fn pending_samples(&self) -> usize {
+        self.pending.len() / self.newest.len()
+    }
+
+    /// Moves the oldest pending samples to `out`, `[channels × samples]`.
+    fn take(&mut self, out: &mut [f32]) {
+        let channels = self.newest.len();
+        let samples = out.len() / channels;
+        for (channel, out) in out.chunks_exact_mut(samples).enumerate() {
+            for (out, frame) in out.iter_mut().zip(self.pending.chunks_exact(channels)) {
+                *out = frame[channel];
+            }
+        }
+        self.pending.drain(..samples * channels);
+        self.next_output += samples as u64;
+    }
+
+    /// Takes in the frames that so many outputs need, or fewer, or what lies beyond the last; `false` when all outputs
+    /// are made.
+    fn read(&mut self, outputs: usize) -> Result<bool, RecordingError> {
+        let channels = self.newest.len();
         if !self.is_at_end {
-            if let Some(frame) = self.source.next_frame(&mut self.frame)? {
+            let wanted = (outputs as u64).saturating_mul(self.down).div_ceil(self.up);
+            let room = wanted.min(FRAMES_AT_ONCE as u64) as usize;
+            if let Some((count, frame)) = self.source.next_frames(&mut self.frames[..room * channels])? {
                 if frame.segment
                     != self.current.segment.max(self.coming.back().map_or(0, |last| last.segment))
                 {
@@ -185,50 +248,51 @@ impl ReplayStream {
                     self.coming.push_back(CueStart { sample, segment: frame.segment, cue: frame.cue });
                 }
                 if self.inputs == 0 {
+                    self.newest.copy_from_slice(&self.frames[..channels]);
                     for _ in 0..self.padding {
-                        self.push_frame();
+                        self.push_newest();
                     }
                 }
-                self.inputs += 1;
-                self.push_frame();
+                self.inputs += count as u64;
+                let frames = &self.frames[..count * channels];
+                self.newest.copy_from_slice(&frames[frames.len() - channels..]);
+                resample(self.resampler.as_mut(), frames, &mut self.pending);
+                self.skip();
                 return Ok(true);
             }
             self.is_at_end = true;
         }
         let outputs = (self.inputs * self.up).div_ceil(self.down);
-        let made = self.next_output + self.pending[0].len() as u64;
+        let made = self.next_output + self.pending_samples() as u64;
         if made >= outputs {
             return Ok(false);
         }
-        self.push_frame();
-        let beyond = (self.next_output + self.pending[0].len() as u64).saturating_sub(outputs) as usize;
-        for pending in &mut self.pending {
-            pending.truncate(pending.len() - beyond);
-        }
+        self.push_newest();
+        self.pending.truncate((outputs - self.next_output) as usize * channels);
         Ok(true)
     }
 
-    /// Resamples `frame` into `pending`.
-    fn push_frame(&mut self) {
-        if self.resamplers.is_empty() {
-            for (pending, &sample) in self.pending.iter_mut().zip(&self.frame) {
-                pending.push(sample);
-            }
-            return;
-        }
-        for ((resampler, pending), sample) in
-            self.resamplers.iter_mut().zip(&mut self.pending).zip(&self.frame)
-        {
-            resampler.process(std::slice::from_ref(sample), pending);
-        }
-        // While there is something to skip, nothing before it is pending.
-        let skipped = self.skip.min(self.pending[0].len() as u64);
+    /// Resamples the newest frame once more.
+    fn push_newest(&mut self) {
+        resample(self.resampler.as_mut(), &self.newest, &mut self.pending);
+        self.skip();
+    }
+
+    /// Throws outputs away while there are some to be. Nothing before them is pending.
+    fn skip(&mut self) {
+        let skipped = self.skip.min(self.pending_samples() as u64);
         if skipped > 0 {
             self.skip -= skipped;
-            for pending in &mut self.pending {
-                pending.drain(..skipped as usize);
-            }
+            self.pending.drain(..skipped as usize * self.newest.len());
         }
+    }
+}
+
+/// Appends what `frames` give to `pending`.
+fn resample(resampler: Option<&mut Resampler>, frames: &[f32], pending: &mut Vec<f32>) {
+    match resampler {
+        Some(resampler) => resampler.process(frames, pending),
+        None => pending.extend_from_slice(frames),
     }
 }
 

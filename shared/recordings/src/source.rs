@@ -11,6 +11,10 @@ use crate::mapped::MappedFile;
 use crate::table::{Channel, Table};
 use crate::three_dc;
 
+/// Frames that are read in one go where there are so many: enough that the going does not matter, few enough to stay
+/// in the fastest cache.
+pub(crate) const FRAMES_AT_ONCE: usize = 256;
+
 /// How a recording is to be read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -183,36 +187,69 @@ impl RecordingSource {
     ///
     /// # Panics
     /// When `frame` is not [`channels`](RecordingSource::channels) long.
-    #[inline]
     pub fn next_frame(&mut self, frame: &mut [f32]) -> Result<Option<Frame>, RecordingError> {
+        assert_eq!(frame.len(), self.channels, "a frame holds one value for each chosen channel");
+        Ok(self.next_frames(frame)?.map(|(_, frame)| frame))
+    }
+
+    /// Reads as many frames as `frames`, `[frames × channels]`, has room for, but not beyond the end of a file: how
+    /// many, at least one, and what holds for all of them; `None` at the end. Nothing is allocated but for an error.
+    ///
+    /// # Errors
+    /// When the next line or the next file cannot be read, with its place: once all frames before it have been given.
+    /// Reading on gives the same error.
+    ///
+    /// # Panics
+    /// When `frames` is not one frame of [`channels`](RecordingSource::channels) or several.
+    pub fn next_frames(&mut self, frames: &mut [f32]) -> Result<Option<(usize, Frame)>, RecordingError> {
+        assert!(
+            !frames.is_empty() && frames.len().is_multiple_of(self.channels),
+            "frames × channels, at least one frame"
+        );
         loop {
-            let is_read = match &mut self.samples {
-                Samples::Table { table, file } => match table.next_row(file.bytes(), frame) {
-                    Ok(is_read) => {
-                        file.release_before(table.position());
-                        is_read
-                    }
-                    Err(error) => {
-                        return Err(RecordingError::table(&self.segments[self.segment].file)(error));
-                    }
-                },
-                Samples::Columns(columns) => {
-                    let position = self.position as usize;
-                    let is_read = columns.first().is_some_and(|column| position < column.len());
-                    if is_read {
-                        frame.iter_mut().zip(columns).for_each(|(value, column)| *value = column[position]);
-                    }
-                    is_read
-                }
-            };
             let is_last = self.segment + 1 == self.segments.len();
             let end_sample = self.segments[self.segment].end_sample;
-            if is_read {
-                if !is_last && end_sample.is_some_and(|end| self.position >= end) {
+            let mut wanted = frames.len() / self.channels;
+            if let Some(end) = end_sample.filter(|_| !is_last) {
+                wanted = wanted.min(end.saturating_sub(self.position) as usize);
+                if wanted == 0 {
                     self.segment += 1;
+                    continue;
                 }
-                self.position += 1;
-                return Ok(Some(Frame { segment: self.segment, cue: self.segments[self.segment].cue }));
+            }
+            let wanted = frames.chunks_exact_mut(self.channels).take(wanted);
+            let mut count = 0;
+            let mut problem = None;
+            match &mut self.samples {
+                Samples::Table { table, file } => {
+                    for frame in wanted {
+                        match table.next_row(file.bytes(), frame) {
+                            Ok(true) => count += 1,
+                            Ok(false) => break,
+                            Err(error) => {
+                                problem = Some(error);
+                                break;
+                            }
+                        }
+                    }
+                    file.release_before(table.position());
+                }
+                Samples::Columns(columns) => {
+                    let position = self.position as usize;
+                    let left = columns.first().map_or(0, |column| column.len() - position);
+                    for (frame, index) in wanted.zip(position..position + left) {
+                        frame.iter_mut().zip(&*columns).for_each(|(value, column)| *value = column[index]);
+                        count += 1;
+                    }
+                }
+            }
+            if count > 0 {
+                self.position += count as u64;
+                let cue = self.segments[self.segment].cue;
+                return Ok(Some((count, Frame { segment: self.segment, cue })));
+            }
+            if let Some(error) = problem {
+                return Err(RecordingError::table(&self.segments[self.segment].file)(error));
             }
             // Of segments within one file none is left when the file ends.
             if is_last || end_sample.is_some() {
@@ -349,10 +386,10 @@ pub struct CueSpan {
 /// The first thing that is wrong with it.
 pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, RecordingError> {
     let mut source = RecordingSource::open(path, settings)?;
-    let mut frame = vec![0.0; source.channels()];
+    let mut frames = vec![0.0; FRAMES_AT_ONCE * source.channels()];
     let mut counts = vec![0_u64; source.segments().len()];
-    while let Some(Frame { segment, .. }) = source.next_frame(&mut frame)? {
-        counts[segment] += 1;
+    while let Some((count, Frame { segment, .. })) = source.next_frames(&mut frames)? {
+        counts[segment] += count as u64;
     }
     let mut samples = 0;
     let cues = source.segments.iter().zip(counts).map(|(segment, count)| {

@@ -6,6 +6,7 @@
 )]
 
 use std::fs;
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -66,6 +67,27 @@ fn replay_all(
     (channels, cues)
 }
 
+/// Whether a replay file by file gives the same as `replay_all`, and ends each file where its cue does.
+fn assert_same_by_segment(
+    path: &Path,
+    settings: &RecordingSettings,
+    rate_hz: f64,
+    (channels, cues): &(Vec<Vec<f32>>, Vec<Option<Gesture>>),
+) {
+    let mut stream = ReplayStream::open(path, settings, rate_hz, 1).unwrap();
+    let (mut signal, mut played) = (Vec::new(), 0);
+    while let Some(read) = stream.next_piece(&mut signal, NonZeroUsize::MAX).unwrap() {
+        let end = played + signal.len() / channels.len();
+        assert_eq!((read.first_sample as usize, read.cue_since as usize), (played, played));
+        assert!(cues[played..end].iter().all(|&cue| cue == read.cue) && cues.get(end) != Some(&read.cue));
+        let expected: Vec<f32> = channels.iter().flat_map(|channel| channel[played..end].to_vec()).collect();
+        assert_eq!(signal, expected, "{rate_hz} Hz, samples {played} to {end}");
+        played = end;
+    }
+    assert_eq!(played, cues.len(), "{rate_hz} Hz");
+    assert!(signal.is_empty());
+}
+
 /// The folder of the 3DC recordings, if it is here.
 fn three_dc() -> Option<PathBuf> {
     let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
@@ -113,6 +135,25 @@ fn a_folder_joins_its_files_in_the_order_of_their_numbers() {
     assert_eq!(read_all(&folder, &second).len(), 2);
     let single = read_all(&folder.join("3dc_EMG_gesture_0_7.txt"), &settings(&[0], None));
     assert_eq!(single, [(vec![700.0], Some(Gesture::Grip)), (vec![701.0], Some(Gesture::Grip))]);
+}
+
+#[test]
+fn frames_are_read_as_far_as_the_file_and_its_faults_allow() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = write_three_dc(temporary.path(), &[(0, 0, 3), (0, 1, 2), (0, 2, 1)]);
+    fs::write(folder.join("3dc_EMG_gesture_0_1.txt"), "100,-100\n101,-101\n102,x\n").unwrap();
+    let mut source = RecordingSource::open(&folder, &settings(&[1], None)).unwrap();
+    let mut frames = [0.0; 2];
+    let mut next = || {
+        let read = source.next_frames(&mut frames).map_err(|error| error.to_string())?;
+        Ok(read.map(|(count, frame)| (frames[..count].to_vec(), frame.segment)))
+    };
+    assert_eq!(next(), Ok(Some((vec![0.0, -1.0], 0))));
+    assert_eq!(next(), Ok(Some((vec![-2.0], 0))));
+    assert_eq!(next(), Ok(Some((vec![-100.0, -101.0], 1))));
+    let error: String = next().unwrap_err();
+    assert!(error.contains("3dc_EMG_gesture_0_1.txt, line 3, column 2: `x`"), "{error}");
+    assert_eq!(next(), Err(error));
 }
 
 #[test]
@@ -225,7 +266,10 @@ fn replay_keeps_samples_and_cues_together_at_every_rate() {
         written += samples;
     }
     for rate_hz in [250.0, 600.0, 800.0, 1500.0, 2000.0, 2048.0, 4000.0] {
-        let (channels, cues) = replay_all(&folder, &settings(&[0], None), rate_hz);
+        let settings = settings(&[0], None);
+        let replayed = replay_all(&folder, &settings, rate_hz);
+        assert_same_by_segment(&folder, &settings, rate_hz, &replayed);
+        let (channels, cues) = replayed;
         assert_eq!(channels[0].len(), (1000.0 * rate_hz / 1000.0) as usize, "{rate_hz} Hz");
         for (index, (&sample, &cue)) in channels[0].iter().zip(&cues).enumerate() {
             let time_s = index as f64 / rate_hz;
@@ -275,7 +319,9 @@ proptest! {
         let temporary = tempfile::tempdir().unwrap();
         let folder = write_three_dc(temporary.path(), &[(0, 0, samples), (0, 1, 5)]);
         let settings = settings(&[1, 0], None);
-        let (channels, cues) = replay_all(&folder, &settings, rate_hz);
+        let replayed = replay_all(&folder, &settings, rate_hz);
+        assert_same_by_segment(&folder, &settings, rate_hz, &replayed);
+        let (channels, cues) = replayed;
         prop_assert_eq!(channels[0].len(), ((samples + 5) as f64 * rate_hz / 1000.0).ceil() as usize);
         let mut stream = ReplayStream::open(&folder, &settings, rate_hz, block_samples).unwrap();
         let mut block = vec![0.0; 2 * block_samples];

@@ -144,23 +144,27 @@ impl SignalChain {
         assert!(from < samples, "nothing to push: the block has {samples} samples, pushed from {from}");
         let consumed = self.windower.room().min(samples - from);
 
-        let envelopes = &mut self.envelopes[..consumed * self.channels];
+        let (ring, place) = self.windower.place_mut(consumed);
+        let raw_channels = block.chunks_exact(samples).map(|raw| &raw[from..from + consumed]);
+        for (signal, raw) in ring.chunks_exact_mut(self.window_samples).zip(raw_channels.clone()) {
+            signal[place.clone()].copy_from_slice(raw);
+        }
+        let replaced_samples = self.filter.process_all(ring, place.clone());
+
         let replaced = &mut self.replaced[..consumed];
         replaced.fill(0);
-        let mut replaced_samples = 0;
-        for (channel, raw) in block.chunks_exact(samples).enumerate() {
-            let raw = &raw[from..from + consumed];
-            let signal = self.windower.channel_mut(channel, consumed);
-            signal.copy_from_slice(raw);
-            let replaced_here = self.filter.process(channel, signal);
-            if replaced_here > 0 {
-                replaced_samples += replaced_here;
+        if replaced_samples > 0 {
+            for raw in raw_channels {
                 for (count, &sample) in replaced.iter_mut().zip(raw) {
                     *count += u16::from(!is_usable(sample));
                 }
             }
-            let tracker = &mut self.trackers[channel];
-            for (envelopes, &sample) in envelopes.chunks_exact_mut(self.channels).zip(&*signal) {
+        }
+        let envelopes = &mut self.envelopes[..consumed * self.channels];
+        let channels = ring.chunks_exact(self.window_samples).zip(&mut self.trackers);
+        for (channel, (signal, tracker)) in channels.enumerate() {
+            for (envelopes, &sample) in envelopes.chunks_exact_mut(self.channels).zip(&signal[place.clone()])
+            {
                 envelopes[channel] = tracker.push(sample);
             }
         }

@@ -4,8 +4,10 @@
 //! ```text
 //! input ─▶ up - 1 zeros between samples ─▶ low-pass at the lower Nyquist rate ─▶ every down-th ─▶ output
 //! ```
-//! computed polyphase: only the products that are not with a zero, only for the outputs that are kept.
+//! computed polyphase: only the products that are not with a zero, only for the outputs that are kept. Channels are
+//! added up side by side, each in its own lane and in the order in which it would be alone.
 
+use std::array::from_fn;
 use std::f64::consts::PI;
 
 use crate::error::DesignError;
@@ -16,18 +18,23 @@ const KAISER_BETA: f64 = 5.0;
 /// Zero crossings of the low-pass on either side, SciPy's default for `resample_poly`.
 const HALF_WIDTH: usize = 10;
 
-/// Resampler of one channel.
+/// Channels that are added up side by side: two vectors of the narrowest kind that processors have.
+const LANES: usize = 4;
+
+/// Resampler of all channels of a recording.
 #[derive(Clone, Debug)]
 pub struct Resampler {
     up: usize,
     down: usize,
+    channels: usize,
     /// Length of one phase of the low-pass, in input samples.
     phase_len: usize,
     /// `[up × phase_len]`: the low-pass's every `up`-th tap from each phase, newest sample first.
     phases: Vec<f64>,
     delay_upsampled: usize,
-    /// The newest `phase_len` inputs, twice in a row, so that any `phase_len` of them lie side by side.
-    history: Vec<f64>,
+    /// For every [`LANES`] channels the newest `phase_len` inputs, twice in a row, so that any `phase_len` of them lie
+    /// side by side.
+    histories: Vec<Vec<[f64; LANES]>>,
     /// Where the newest input lies; inputs go in from the back.
     newest: usize,
     /// Of the next output, how many upsampled steps it lies after the next input.
@@ -35,14 +42,17 @@ pub struct Resampler {
 }
 
 impl Resampler {
-    /// A resampler that gives `up` samples for every `down`. The low-pass is that of SciPy's
+    /// A resampler of `channels` channels that gives `up` samples for every `down`. The low-pass is that of SciPy's
     /// `resample_poly`: `firwin(20 max(up, down) + 1, 1 / max(up, down), window=("kaiser", 5.0)) * up`.
     ///
     /// # Errors
-    /// `up` or `down` of 0.
-    pub fn new(up: usize, down: usize) -> Result<Resampler, DesignError> {
+    /// `up` or `down` of 0, or no channels.
+    pub fn new(up: usize, down: usize, channels: usize) -> Result<Resampler, DesignError> {
         if up == 0 || down == 0 {
             return Err(DesignError::Ratio { up, down });
+        }
+        if channels == 0 {
+            return Err(DesignError::NoChannels);
         }
         let divisor = greatest_common_divisor(up, down);
         let (up, down) = (up / divisor, down / divisor);
@@ -58,10 +68,11 @@ impl Resampler {
         Ok(Resampler {
             up,
             down,
+            channels,
             phase_len,
             phases,
             delay_upsampled: half_len,
-            history: vec![0.0; 2 * phase_len],
+            histories: vec![vec![[0.0; LANES]; 2 * phase_len]; channels.div_ceil(LANES)],
             newest: 0,
             next_output: 0,
         })
@@ -72,28 +83,72 @@ impl Resampler {
         self.delay_upsampled as f64 / self.down as f64
     }
 
-    /// The most output samples that `input_samples` inputs can give.
+    /// The most output samples of a channel that `input_samples` inputs can give.
     pub fn max_output_samples(&self, input_samples: usize) -> usize {
         (input_samples * self.up).div_ceil(self.down)
     }
 
-    /// Takes the next samples and appends to `output` what they give: room for
-    /// [`Resampler::max_output_samples`] there, and nothing is allocated.
+    /// Takes the next samples, `[samples × channels]`, and appends to `output` what they give, in the same layout: room
+    /// for [`Resampler::max_output_samples`] of every channel there, and nothing is allocated.
+    ///
+    /// # Panics
+    /// If `input` is not a whole number of samples for every channel.
     pub fn process(&mut self, input: &[f32], output: &mut Vec<f32>) {
-        for &sample in input {
+        assert!(input.len().is_multiple_of(self.channels), "samples × channels");
+        for samples in input.chunks_exact(self.channels) {
             self.newest = if self.newest == 0 { self.phase_len - 1 } else { self.newest - 1 };
-            self.history[self.newest] = f64::from(sample);
-            self.history[self.newest + self.phase_len] = f64::from(sample);
-            let history = &self.history[self.newest..self.newest + self.phase_len];
+            for (history, samples) in self.histories.iter_mut().zip(samples.chunks(LANES)) {
+                let mut lanes = [0.0; LANES];
+                for (lane, &sample) in lanes.iter_mut().zip(samples) {
+                    *lane = f64::from(sample);
+                }
+                history[self.newest] = lanes;
+                history[self.newest + self.phase_len] = lanes;
+            }
             while self.next_output < self.up {
-                let phase = &self.phases[self.next_output * self.phase_len..][..self.phase_len];
-                let sum: f64 = phase.iter().zip(history).map(|(tap, sample)| tap * sample).sum();
-                output.push(sum as f32);
-                self.next_output += self.down;
+                // Each sum waits for the one before: two outputs take no longer than one.
+                if self.next_output + self.down < self.up {
+                    self.push_outputs::<2>(output);
+                } else {
+                    self.push_outputs::<1>(output);
+                }
             }
             self.next_output -= self.up;
         }
     }
+
+    /// Appends the next `N` outputs of all channels, none of which needs another input.
+    fn push_outputs<const N: usize>(&mut self, output: &mut Vec<f32>) {
+        let phases: [&[f64]; N] = from_fn(|number| {
+            &self.phases[(self.next_output + number * self.down) * self.phase_len..][..self.phase_len]
+        });
+        let before = output.len();
+        output.resize(before + N * self.channels, 0.0);
+        for (group, history) in self.histories.iter().enumerate() {
+            let sums = weighted_sums(phases, &history[self.newest..self.newest + self.phase_len]);
+            for (outputs, sums) in output[before..].chunks_exact_mut(self.channels).zip(sums) {
+                for (output, sum) in outputs[group * LANES..].iter_mut().zip(sums) {
+                    *output = sum as f32;
+                }
+            }
+        }
+        self.next_output += N * self.down;
+    }
+}
+
+/// Of each phase, and of each lane, the sum of the samples times the taps.
+#[inline(never)]
+fn weighted_sums<const N: usize>(phases: [&[f64]; N], samples: &[[f64; LANES]]) -> [[f64; LANES]; N] {
+    let phases = phases.map(|taps| &taps[..samples.len()]);
+    // As `Iterator::sum` begins: the one number that leaves the sign of a zero as it is.
+    let mut sums = [[-0.0; LANES]; N];
+    for (step, samples) in samples.iter().enumerate() {
+        for (sums, taps) in sums.iter_mut().zip(&phases) {
+            let tap = taps[step];
+            *sums = from_fn(|lane| sums[lane] + tap * samples[lane]);
+        }
+    }
+    sums
 }
 
 fn greatest_common_divisor(a: usize, b: usize) -> usize {
@@ -143,7 +198,7 @@ mod tests {
         let tone = |time: f64| (2.0 * PI * 0.05 * time).sin();
         let input: Vec<f32> = (0..400).map(|n| tone(f64::from(n)) as f32).collect();
         for (up, down) in [(2, 1), (1, 1), (3, 4)] {
-            let mut resampler = Resampler::new(up, down).expect("a resampler");
+            let mut resampler = Resampler::new(up, down, 1).expect("a resampler");
             let mut output = Vec::new();
             resampler.process(&input, &mut output);
             let settled = (2.0 * resampler.delay_samples()).ceil() as usize;
@@ -152,6 +207,25 @@ mod tests {
                 assert!((f64::from(sample) - tone(time)).abs() < 2e-2, "{up}/{down}, sample {n}");
             }
         }
-        assert_eq!(Resampler::new(0, 1).err(), Some(DesignError::Ratio { up: 0, down: 1 }));
+        assert_eq!(Resampler::new(0, 1, 1).err(), Some(DesignError::Ratio { up: 0, down: 1 }));
+        assert_eq!(Resampler::new(2, 1, 0).err(), Some(DesignError::NoChannels));
+    }
+
+    #[test]
+    fn channels_do_not_know_of_each_other() {
+        let sample = |n: usize, channel: usize| ((n * (channel + 3)) % 17) as f32 - 8.3;
+        for (channels, up, down) in [(1, 2, 1), (4, 2, 1), (5, 3, 2), (11, 1, 4)] {
+            let input: Vec<f32> =
+                (0..100).flat_map(|n| (0..channels).map(move |channel| sample(n, channel))).collect();
+            let mut together = Vec::new();
+            Resampler::new(up, down, channels).expect("a resampler").process(&input, &mut together);
+            for channel in 0..channels {
+                let input: Vec<f32> = (0..100).map(|n| sample(n, channel)).collect();
+                let mut alone = Vec::new();
+                Resampler::new(up, down, 1).expect("a resampler").process(&input, &mut alone);
+                let ours: Vec<f32> = together.iter().skip(channel).step_by(channels).copied().collect();
+                assert_eq!(ours, alone, "channel {channel} of {channels}, {up}/{down}");
+            }
+        }
     }
 }

@@ -7,6 +7,8 @@
 //!          ◀────▶ increment
 //! ```
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::error::DesignError;
@@ -40,8 +42,8 @@ impl Default for WindowSettings {
 
 /// A ring of the newest `window` samples of every channel, and the count to the next window's end.
 ///
-/// Samples are written in place: [`Windower::room`] says how many, [`Windower::channel_mut`] gives each
-/// channel's place for them, [`Windower::advance`] takes them in.
+/// Samples are written in place: [`Windower::room`] says how many, [`Windower::place_mut`] gives their place in
+/// each channel, [`Windower::advance`] takes them in.
 #[derive(Clone, Debug)]
 pub struct Windower {
     window: usize,
@@ -83,14 +85,13 @@ impl Windower {
         self.until_window.min(self.window - self.next)
     }
 
-    /// Where to write the next `samples` samples of `channel`.
+    /// The ring, `[channels × window]`, and where in each channel of it the next `samples` samples go.
     ///
     /// # Panics
-    /// If there is no such channel, or `samples` is more than [`Windower::room`].
-    pub fn channel_mut(&mut self, channel: usize, samples: usize) -> &mut [f32] {
+    /// If `samples` is more than [`Windower::room`].
+    pub fn place_mut(&mut self, samples: usize) -> (&mut [f32], Range<usize>) {
         assert!(samples <= self.room(), "{samples} samples, but room for {}", self.room());
-        let start = channel * self.window + self.next;
-        &mut self.ring[start..start + samples]
+        (&mut self.ring, self.next..self.next + samples)
     }
 
     /// Takes in the samples just written to every channel; `replaced` holds, for each of them in time, how
@@ -152,8 +153,9 @@ mod tests {
             let (mut sample, mut expected_start) = (0, 0);
             let mut out = vec![0.0; 2 * window];
             while sample < 100 {
-                windower.channel_mut(0, 1)[0] = sample as f32;
-                windower.channel_mut(1, 1)[0] = -(sample as f32);
+                let (ring, place) = windower.place_mut(1);
+                ring[place.start] = sample as f32;
+                ring[window + place.start] = -(sample as f32);
                 sample += 1;
                 if windower.advance(&[0]) {
                     windower.write_window(&mut out);

@@ -169,7 +169,7 @@ fn resampling_in_ragged_blocks_is_upfirdn() {
     assert_eq!(cases.len(), 4);
     for Case { up, down, input, output } in cases {
         // Not in lowest terms: the resampler has to reduce it.
-        let mut resampler = Resampler::new(3 * up, 3 * down).expect("a resampler");
+        let mut resampler = Resampler::new(3 * up, 3 * down, 1).expect("a resampler");
         let mut ours = Vec::new();
         for block in input.chunks(13) {
             let before = ours.len();

@@ -21,7 +21,7 @@ fn recordings() -> Option<PathBuf> {
 
 /// One repetition: the envelope of its gestures, one after the other, rest first.
 fn repetition(folder: &Path, number: usize) -> Option<Vec<Envelopes>> {
-    let mut resamplers = vec![Resampler::new(2, 1).expect("a resampler"); 4];
+    let mut resamplers = vec![Resampler::new(2, 1, 1).expect("a resampler"); 4];
     let mut filter = EmgFilter::new(&FilterSettings::default(), 4, RATE_HZ).expect("a filter");
     let mut envelopes = vec![Envelope::new(DEFAULT_ENVELOPE_MS, RATE_HZ).expect("an envelope"); 4];
     let mut offset = None;

@@ -1,5 +1,6 @@
 //! From a recording to the windows of its trials: what data sets are made of, and what evaluation sees.
 
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 
 use tendon_gesture::Gesture;
@@ -15,8 +16,8 @@ use crate::source::Segment;
 /// four channels that is more than eight minutes.
 const MAX_TRIAL_VALUES: usize = 4_000_000;
 
-/// After so many samples between trials the filter is run and they are forgotten.
-const GAP_SAMPLES: usize = 1 << 14;
+/// Samples of each channel that are read and filtered at a time.
+const PIECE_SAMPLES: NonZeroUsize = NonZeroUsize::new(1 << 12).expect("more than none");
 
 /// A window, as [`cut`] gives it.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +45,8 @@ pub struct Cut {
     pub skipped: Vec<SkippedEntry>,
     /// What the user should know.
     pub notices: Vec<String>,
+    /// Samples of each channel that were read, at the rate of the settings, within trials or not.
+    pub samples: u64,
 }
 
 /// Gives every window of `recording` to `on_window`, in order, by the filter and the onset detection of
@@ -59,7 +62,7 @@ pub fn cut(
 ) -> Result<Cut, RecordingError> {
     let mut cut = Cut::default();
     let mut window = vec![0.0; settings.channels.len() * settings.windows.window_samples];
-    cut.notices = trials(settings, recording, &mut |outcome| {
+    let (notices, samples) = trials(settings, recording, &mut |outcome| {
         match outcome {
             Outcome::Skipped(skipped) => cut.skipped.push(skipped),
             Outcome::Trial(trial) => {
@@ -79,7 +82,7 @@ pub fn cut(
         }
         ControlFlow::Continue(())
     })?;
-    Ok(cut)
+    Ok(Cut { notices, samples, ..cut })
 }
 
 /// What became of a trial.
@@ -111,12 +114,13 @@ impl Trial {
 }
 
 /// Gives what became of each trial of `recording` to `on_trial`, in order, until that breaks off. The result is
-/// what the user should know about the recording.
+/// what the user should know about the recording, and how many samples of each channel were read, at the rate of
+/// `settings`.
 pub(crate) fn trials(
     settings: &DatasetSettings,
     recording: &Recording,
     on_trial: &mut dyn FnMut(Outcome) -> ControlFlow<()>,
-) -> Result<Vec<String>, RecordingError> {
+) -> Result<(Vec<String>, u64), RecordingError> {
     settings.check()?;
     let channels = settings.channels.len();
     let rate_hz = settings.sample_rate_hz;
@@ -124,17 +128,18 @@ pub(crate) fn trials(
     let notices = source.notices().iter().map(ToString::to_string).collect();
     let mut filter =
         settings.filter.as_ref().map(|filter| EmgFilter::new(filter, channels, rate_hz)).transpose()?;
+    // Taken by pieces: the blocks' length is for replays.
     let mut stream = ReplayStream::of(source, rate_hz, 1)?;
     let segments = stream.source().segments().to_vec();
     let is_divided = segments.iter().any(|segment| segment.end_sample.is_some());
-    let mut frame = vec![0.0; channels];
+    let mut piece = Vec::new();
+    let mut samples = 0;
     let mut signal = Signal { channels: vec![Vec::new(); channels], samples: 0, replaced_samples: 0 };
     let mut segment = 0;
     let mut first_sample = 0;
     loop {
-        let block = stream.next_block(&mut frame)?;
+        let block = stream.next_piece(&mut piece, PIECE_SAMPLES)?;
         if block.is_none_or(|block| block.segment != segment) {
-            signal.run(filter.as_mut());
             let part = Part { recording, segment: &segments[segment], first_sample, is_divided };
             // What the file does not hold to its end is none of its trials: told below.
             let is_cut_off = block.is_none() && part.ends_after(stream.source().position());
@@ -142,19 +147,21 @@ pub(crate) fn trials(
                 && let Some(outcome) = part.outcome(settings, &signal)?
                 && on_trial(outcome).is_break()
             {
-                return Ok(notices);
+                return Ok((notices, samples));
             }
             signal.clear();
             first_sample = block.map_or(0, |block| block.cue_since);
         }
         let Some(block) = block else { break };
         segment = block.segment;
-        signal.push(&frame);
+        let piece_samples = piece.len() / channels;
+        samples += piece_samples as u64;
+        if let Some(filter) = &mut filter {
+            signal.replaced_samples += filter.process_all(&mut piece, 0..piece_samples);
+        }
+        signal.push(&piece, piece_samples);
         let is_too_long = signal.channels[0].len() * channels > MAX_TRIAL_VALUES;
-        if is_too_long
-            || (segments[segment].repetition.is_none() && signal.samples.is_multiple_of(GAP_SAMPLES))
-        {
-            signal.run(filter.as_mut());
+        if is_too_long || segments[segment].repetition.is_none() {
             signal.channels.iter_mut().for_each(Vec::clear);
         }
     }
@@ -170,10 +177,10 @@ pub(crate) fn trials(
             }
         }
     }
-    Ok(notices)
+    Ok((notices, samples))
 }
 
-/// A segment as it grows.
+/// A segment as it grows, filtered.
 struct Signal {
     /// Of each channel, what is kept of it.
     channels: Vec<Vec<f32>>,
@@ -184,19 +191,11 @@ struct Signal {
 }
 
 impl Signal {
-    fn push(&mut self, frame: &[f32]) {
-        for (channel, &sample) in self.channels.iter_mut().zip(frame) {
-            channel.push(sample);
+    fn push(&mut self, piece: &[f32], samples: usize) {
+        for (channel, piece) in self.channels.iter_mut().zip(piece.chunks_exact(samples)) {
+            channel.extend_from_slice(piece);
         }
-        self.samples += 1;
-    }
-
-    /// Filters what is kept, which has not been filtered yet.
-    fn run(&mut self, filter: Option<&mut EmgFilter>) {
-        let Some(filter) = filter else { return };
-        for (channel, samples) in self.channels.iter_mut().enumerate() {
-            self.replaced_samples += filter.process(channel, samples);
-        }
+        self.samples += samples;
     }
 
     fn clear(&mut self) {
