@@ -6,7 +6,7 @@ use std::path::Path;
 
 use tendon_classifier::{Recogniser, runtime_library};
 use tendon_config::{Config, Pace, Source};
-use tendon_gesture::Gesture;
+use tendon_gesture::{Gesture, Strategy};
 use tendon_latency::Report;
 use tendon_messages::{PREDICTIONS, WINDOWS};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
@@ -108,7 +108,7 @@ fn at_its_true_pace_a_recording_ends_by_itself() {
 
 /// What the libraries make of a recording without any process: every window and its probabilities, by the
 /// window's first sample.
-fn offline(path: &Path) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
+fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
     let config = Config::default();
     let recording = RecordingSettings {
         channels: (0..4).map(Channel::Index).collect(),
@@ -120,8 +120,8 @@ fn offline(path: &Path) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
     let fetched = repository().join(".cache/onnxruntime/libonnxruntime.so");
     let library =
         if std::env::var_os("ORT_DYLIB_PATH").is_some() { runtime_library(None).unwrap() } else { fetched };
-    let five = model("cnn-five-gesture");
-    let mut recogniser = Recogniser::load(&library, config.decision.strategy, Some(&five), None).unwrap();
+    let [five, rest_move] = ["cnn-five-gesture", "cnn-rest-move"].map(model);
+    let mut recogniser = Recogniser::load(&library, strategy, Some(&five), Some(&rest_move)).unwrap();
     let mut block = vec![0.0; config.block_length()];
     let mut window = vec![0.0; config.window_length()];
     let mut windows = HashMap::new();
@@ -142,10 +142,19 @@ fn offline(path: &Path) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
 
 #[test]
 fn windows_and_predictions_of_the_processes_are_bit_for_bit_those_of_the_offline_path() {
+    live_is_as_offline(Strategy::Threshold);
+}
+
+#[test]
+fn those_of_the_two_stage_strategy_are_so_too() {
+    live_is_as_offline(Strategy::TwoStage);
+}
+
+fn live_is_as_offline(strategy: Strategy) {
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("EMG");
     write_three_dc(&recording);
-    let offline = offline(&recording);
+    let offline = offline(&recording, strategy);
     let name = unique_session();
     let mut config = Config { session: name.clone(), ..Config::default() };
     config.acquisition.source = Source::Replay;
@@ -153,7 +162,9 @@ fn windows_and_predictions_of_the_processes_are_bit_for_bit_those_of_the_offline
     config.acquisition.replay.channels = Some((0..4).map(Channel::Index).collect());
     // Nothing is lost, on a slow machine neither.
     config.acquisition.replay.pace = Pace::Full;
+    config.decision.strategy = strategy;
     config.inference.model = Some(model("cnn-five-gesture"));
+    config.inference.rest_move_model = Some(model("cnn-rest-move"));
     let path = folder.path().join("tendon.toml");
     std::fs::write(&path, config.to_toml()).unwrap();
 

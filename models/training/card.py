@@ -4,6 +4,27 @@ from pathlib import Path
 
 import numpy as np
 
+THREE_DC = """3DC data set (Côté-Allard et al. 2019): raw forearm EMG, dry electrodes, 1000 Hz, resampled to 2000 Hz."""
+THREE_DC_CREDIT = """The 3DC data set (LibEMG/3DCDataset): Côté-Allard, U., Fall, C. L., Drouin, A., Campeau-Lecours, A., Gosselin, C.,
+Glette, K., Laviolette, F., Gosselin, B.: "Deep learning for electromyographic hand gesture signal classification
+using transfer learning", IEEE Transactions on Neural Systems and Rehabilitation Engineering 27(4):760-771, 2019."""
+OZDEMIR = "Ozdemir data set (Ozdemir et al. 2022): forearm EMG of four channels, mV, 2000 Hz."
+OZDEMIR_CREDIT = """The data set of hand gestures by Ozdemir, M. A., Kisa, D. H., Guren, O., Akan, A. (Mendeley Data, ckwc76xr2z, 2022),
+CC BY."""
+OWN = "Recordings of your own, in their own unit."
+OWN_CREDIT = "Those who made the recordings, and those who let themselves be recorded."
+
+
+def source(manifest: dict) -> tuple[str, str, str]:
+    """What the recordings are, their unit, and who has the credit: told by the names of their files."""
+    names = [Path(entry["file"]).name.lower() for entry in manifest.get("recordings", [])]
+    if names and all(name.startswith("3dc_emg_gesture_") for name in names):
+        return THREE_DC, "ADC counts", THREE_DC_CREDIT
+    if names and all(name.endswith(".mat") for name in names):
+        return OZDEMIR, "mV", OZDEMIR_CREDIT
+    return OWN, "the recordings' unit", OWN_CREDIT
+
+
 # Test accuracy in the paper, by network and number of classes; of the raw signal.
 PAPER_ACCURACY = {("cnn", 6): 0.8646, ("cnn", 5): 0.9055, ("lstm", 6): 0.7032}
 
@@ -20,6 +41,7 @@ def write_card(
     names: list[str],
     shape: tuple[int, ...],
     recipe: dict,
+    manifest: dict,
     truth: np.ndarray,
     predicted: np.ndarray,
     people: np.ndarray,
@@ -49,15 +71,16 @@ def write_card(
         if paper
         else ""
     )
+    data, unit, credit = source(manifest)
     what = {"cnn": "1D CNN", "lstm": "LSTM"}[network]
     card = f"""# {out.name}
 
-The {what} of the paper: {classes} classes ({", ".join(names)}). Input `window` {[1, *shape]}: the signal in ADC \
-counts, channel-major; output `probabilities` [1, {classes}]. Z-score and softmax are inside the graph. Written by \
+The {what} of the paper: {classes} classes ({", ".join(names)}). Input `window` {[1, *shape]}: the signal in {unit}, \
+channel-major; output `probabilities` [1, {classes}]. Z-score and softmax are inside the graph. Written by \
 `training/train.py`.
 
 ## Data
-3DC data set (Côté-Allard et al. 2019): raw forearm EMG, dry electrodes, 1000 Hz, resampled to 2000 Hz.
+{data}
 
 {table(["", ""], [[key, str(value)] for key, value in recipe.items()])}
 
@@ -76,16 +99,14 @@ Confusion matrix, one row a true class, one column a predicted class:
 - Validation windows overlap training windows of the same people (the split of the paper), so the validation
   accuracy says nothing about a new person; the test accuracy does. Expect it to vary greatly between people.
 - Rest windows come from recordings of rest only; letting go of a gesture is in no class.
-- Amplitudes are those of one armband in ADC counts: another amplifier needs a model trained on its own unit.
+- Amplitudes are those of one kind of amplifier, in {unit}: another one needs a model trained on its own unit.
 - All windows of a file carry its label after onset detection, so some labels are wrong, mostly where a person
   moved late or let go early.{yardstick}
 
 PyTorch and ONNX Runtime differ by at most {parity:.1e} in a probability.
 
 ## Credit
-The 3DC data set (LibEMG/3DCDataset): Côté-Allard, U., Fall, C. L., Drouin, A., Campeau-Lecours, A., Gosselin, C.,
-Glette, K., Laviolette, F., Gosselin, B.: "Deep learning for electromyographic hand gesture signal classification
-using transfer learning", IEEE Transactions on Neural Systems and Rehabilitation Engineering 27(4):760-771, 2019.
+{credit}
 """
     out.with_suffix(".md").write_text(card)
     print(card)

@@ -276,7 +276,9 @@ def run(arguments, stop_after: int | None = None) -> float:
     predicted = predict(model, dataset, dataset.test, torch.device("cpu"))
     truth, people = dataset.labels[dataset.test], dataset.people[dataset.test]
     if not arguments.smoke:
-        write_card(arguments.out, model.name, names, dataset.shape, recipe, truth, predicted, people, parity)
+        write_card(
+            arguments.out, model.name, names, dataset.shape, recipe, dataset.manifest, truth, predicted, people, parity
+        )
     if stop_after is None:
         arguments.out.with_suffix(".checkpoint").unlink()
     return float((predicted == truth).mean())

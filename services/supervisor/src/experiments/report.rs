@@ -173,15 +173,22 @@ impl Report<'_> {
                     )?;
                     continue;
                 };
+                let seeds = |name: &str| results.models.get(name).map_or(0, Vec::len);
                 let difference = first.mean - second.mean;
-                let verdict = match (difference > 0.0, difference.abs() > first.sd + second.sd) {
-                    (true, true) => "agrees",
-                    (true, false) => "agrees, within the spread",
-                    (false, true) => "**disagrees**",
-                    (false, false) => "**disagrees**, within the spread",
+                let order = if difference > 0.0 { "agrees" } else { "**disagrees**" };
+                let verdict = if seeds(better).min(seeds(worse)) < 2 {
+                    format!("{order}, by one seed")
+                } else if difference.abs() > first.sd + second.sd {
+                    order.to_owned()
+                } else {
+                    format!("{order}, within the spread")
                 };
-                let said = |spread: &Spread| {
-                    format!("{:.4} ± {:.4} ({:.4} to {:.4})", spread.mean, spread.sd, spread.min, spread.max)
+                let said = |name: &str, spread: &Spread| match seeds(name) {
+                    1 => format!("{:.4} (one seed)", spread.mean),
+                    seeds => format!(
+                        "{:.4} ± {:.4} ({:.4} to {:.4}, {seeds} seeds)",
+                        spread.mean, spread.sd, spread.min, spread.max
+                    ),
                 };
                 writeln!(
                     self.text,
@@ -189,8 +196,8 @@ impl Report<'_> {
                     paper[0],
                     paper[1],
                     results.source,
-                    said(&first),
-                    said(&second)
+                    said(better, &first),
+                    said(worse, &second)
                 )?;
             }
         }
