@@ -43,8 +43,8 @@ pub struct Options {
     /// The 3DC data set: its folder, or one of some of its people (scripts/fetch-data 3dc fetches it).
     #[arg(long, value_name = "FOLDER")]
     three_dc: Option<PathBuf>,
-    /// The Ozdemir data set, which the paper used: its folder of filtered .mat files (scripts/fetch-data ozdemir
-    /// fetches it).
+    /// The Ozdemir data set, which the paper used: its folder raw/mat (scripts/fetch-data ozdemir fetches it). From
+    /// filtered/mat come the models, too, but not the strategies, which filter as they go.
     #[arg(long, value_name = "FOLDER")]
     ozdemir: Option<PathBuf>,
     /// Where everything goes: data sets, models, figures, report.md and report.json.
