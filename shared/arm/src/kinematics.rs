@@ -164,27 +164,36 @@ mod tests {
 
     use super::*;
 
-    #[derive(serde::Deserialize)]
-    struct GoldenCase {
-        joints_rad: [f64; 7],
-        position_m: [f64; 3],
-        rotation: Vec<f64>,
-        jacobian: Vec<f64>,
+    /// Uniform numbers in 0..1, as the script beside the golden vector draws them: SplitMix64.
+    fn split_mix(state: &mut u64) -> f64 {
+        *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut number = (*state ^ (*state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        number = (number ^ (number >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((number ^ (number >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 
     #[test]
     fn pose_and_jacobian_agree_with_pinocchio() {
-        let cases: Vec<GoldenCase> =
-            serde_json::from_str(include_str!("../tests/golden/kinematics.json")).unwrap();
-        assert_eq!(cases.len(), 60);
+        let golden = include_bytes!("../tests/golden/kinematics.bin");
+        let (cases, rest) = golden.as_chunks::<{ 12 * 8 + 42 * 4 }>();
+        assert_eq!((cases.len(), rest.len()), (1000, 0));
         let arm = XArm7::new();
+        let mut random = 7;
         for case in cases {
-            let joints = JointVector::from(case.joints_rad);
+            let joints = JointVector::from_fn(|joint, _| {
+                let (lower, upper) = (LOWER_LIMITS_RAD[joint], UPPER_LIMITS_RAD[joint]);
+                lower + (upper - lower) * split_mix(&mut random)
+            });
+            let (numbers, entries) = case.split_at(12 * 8);
+            let numbers: Vec<f64> =
+                numbers.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+            let entries = entries.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes));
+            let jacobian = Jacobian::from_row_iterator(entries.map(|entry| f64::from(entry) * 1e-9));
             let pose = arm.flange_pose_m(&joints);
-            assert!((pose.translation.vector - Vector3::from(case.position_m)).amax() < 1e-9);
+            assert!((pose.translation.vector - Vector3::from_column_slice(&numbers[..3])).amax() < 1e-9);
             let rotation = pose.rotation.to_rotation_matrix().into_inner();
-            assert!((rotation - Matrix3::from_row_slice(&case.rotation)).amax() < 1e-9);
-            assert!((arm.jacobian(&joints) - Jacobian::from_row_slice(&case.jacobian)).amax() < 1e-8);
+            assert!((rotation - Matrix3::from_row_slice(&numbers[3..])).amax() < 1e-9);
+            assert!((arm.jacobian(&joints) - jacobian).amax() < 1e-8);
         }
     }
 
