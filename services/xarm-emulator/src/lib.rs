@@ -414,3 +414,96 @@ fn put_text(parameters: &mut Vec<u8>, text: &str) {
 fn put_floats(parameters: &mut Vec<u8>, values: &[f32]) {
     parameters.extend(values.iter().flat_map(|value| value.to_le_bytes()));
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Bits that are the same each time: xorshift.
+    struct Bits(u64);
+
+    impl Bits {
+        fn next(&mut self) -> u64 {
+            self.0 ^= self.0 << 13;
+            self.0 ^= self.0 >> 7;
+            self.0 ^= self.0 << 17;
+            self.0
+        }
+    }
+
+    /// Obeys so many frames, most of them commands with a byte or two changed, from a stream in pieces, and lets
+    /// time pass between.
+    fn storm(frames: u32) {
+        let mut bits = Bits(0x9E37_79B9_7F4A_7C15);
+        let mut decoder = Decoder::new();
+        let mut model = Model::new(0);
+        let (mut stream, mut reply, mut now_ns, mut obeyed) = (Vec::new(), Vec::new(), 0, 0);
+        while obeyed < frames {
+            stream.clear();
+            let command = match bits.next() % 8 {
+                0 => Command::Enable { axis: 8, on: true },
+                1 => Command::SetMode(tendon_xarm::Mode::CartesianVelocity),
+                2 => Command::SetState(tendon_xarm::StateOrder::Run),
+                3 => Command::ClearError,
+                4 => Command::Gripper(GripperRequest::MoveTo(bits.next() as i32)),
+                5 => Command::GetJoints,
+                _ => Command::CartesianVelocity {
+                    twist: std::array::from_fn(|_| (bits.next() % 400) as f32 - 200.0),
+                    frame: tendon_xarm::TwistFrame::Base,
+                    duration_s: Some(0.2),
+                },
+            };
+            command.encode(bits.next() as u16, &mut stream);
+            for _ in 0..bits.next() % 3 {
+                let place = bits.next() as usize % stream.len();
+                stream[place] = bits.next() as u8;
+            }
+            let cut = bits.next() as usize % (stream.len() + 1);
+            for mut piece in [&stream[..cut], &stream[cut..]] {
+                while let Some(frame) = decoder.next_frame(&mut piece) {
+                    reply.clear();
+                    answer(&mut model, &frame, &mut reply);
+                    assert!(reply.len() <= 64, "a reply of {} bytes", reply.len());
+                    obeyed += 1;
+                }
+            }
+            now_ns += bits.next() % 8 * 1_000_000;
+            model.advance_to(now_ns);
+            let report = model.report();
+            assert!(report.joints_rad.iter().chain(&report.pose).all(|value| value.is_finite()));
+        }
+    }
+
+    #[test]
+    fn a_storm_of_frames_is_survived() {
+        storm(100_000);
+    }
+
+    #[test]
+    #[ignore = "ten million frames take minutes"]
+    fn a_long_storm_of_frames_is_survived() {
+        storm(10_000_000);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(100_000))]
+
+        /// Whatever the body, a reply to it is a reply.
+        #[test]
+        fn every_request_has_its_reply(
+            transaction in any::<u16>(),
+            protocol in 2..=3_u16,
+            body in prop::collection::vec(any::<u8>(), 1..60),
+        ) {
+            let mut reply = Vec::new();
+            answer(&mut Model::new(0), &Frame { transaction, protocol, body: &body }, &mut reply);
+            let mut decoder = Decoder::new();
+            let mut input = &reply[..];
+            let frame = decoder.next_frame(&mut input).expect("a whole frame");
+            prop_assert_eq!((frame.transaction, frame.protocol, frame.body[0]), (transaction, protocol, body[0]));
+            prop_assert!(input.is_empty());
+        }
+    }
+}

@@ -24,8 +24,8 @@ fn settings(listen: &Listen) -> ClientSettings {
 }
 
 fn start() -> (Emulator, Client) {
-    let emulator = Emulator::start(Listen::anywhere()).unwrap();
-    let client = Client::start(settings(&emulator.listen)).unwrap();
+    let emulator = Emulator::start(Listen::anywhere()).expect("free ports");
+    let client = Client::start(settings(&emulator.listen)).expect("threads");
     (emulator, client)
 }
 

@@ -240,7 +240,7 @@ impl Client {
 
     /// Brings the arm up for velocities of its flange ([`Mode::CartesianVelocity`]) or of its joints
     /// ([`Mode::JointVelocity`]): clears errors, switches the motors on, sets mode and state. Takes a second or
-    /// so; [`Status::phase`] tells.
+    /// so; [`Status::phase`] tells. Ignored without a connection: what comes back later must be armed anew.
     pub fn arm(&self, mode: Mode) {
         let mut mailbox = lock(&self.shared.mailbox);
         mailbox.arm = Some(mode);
@@ -492,10 +492,9 @@ impl Control {
             status.phase = Phase::BringingUp;
             status.halt = None;
         }
-        if let Some(velocity) = mailbox.velocity.filter(|(velocity, _)| self.ready == Some(velocity.mode())) {
-            if self.velocity.replace(velocity).is_some() {
-                lock(&self.shared.status).velocities_replaced += 1;
-            }
+        let velocity = mailbox.velocity.filter(|(velocity, _)| self.ready == Some(velocity.mode()));
+        if velocity.is_some() && std::mem::replace(&mut self.velocity, velocity).is_some() {
+            lock(&self.shared.status).velocities_replaced += 1;
         }
         if self.ready.is_some() && mailbox.gripper_pulses.is_some() {
             self.gripper_pulses = mailbox.gripper_pulses;
