@@ -1,6 +1,6 @@
 //! The client of `tendon-xarm` against the emulator: each test has an emulator of its own, on free ports.
 
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
 
 use tendon_xarm::{ArmState, Client, ClientSettings, Fault, Halt, Mode, Phase, Source, Status, Velocity};
@@ -219,7 +219,10 @@ fn late_torn_missing_and_garbage_replies_are_survived() {
 
 #[test]
 fn an_arm_that_comes_later_is_found() {
-    let listen = Emulator::start(Listen::anywhere()).unwrap().listen;
+    // An address of its own: a port of 127.0.0.1 that is given back may be taken by any connection, even by
+    // that of the client to itself.
+    let address = Ipv4Addr::new(127, 0, 0, 2).into();
+    let listen = Emulator::start(Listen { address, ..Listen::anywhere() }).unwrap().listen;
     let client = Client::start(settings(&listen)).unwrap();
     client.arm(Mode::CartesianVelocity);
     let start = Instant::now();
