@@ -1,0 +1,673 @@
+//! The arm that is not there: its rules of mode and state, its motion in steps of 4 ms, its gripper.
+//!
+//! ```text
+//!           enable            set mode                set state 0
+//! off ───────────────▶ on ───────────────▶ changed ───────────────▶ ready ◀─▶ running
+//!  ▲                    ▲                  (state 5)                 │ error, stop: state 4
+//!  └─ emergency stop ───┴────────────────────────────────────────────┘ an error also: mode 0
+//! ```
+//!
+//! Time is given from outside in ns, so that the same orders give the same motion. Unlike the simulated arm of
+//! `tendon-arm` it does not slow down before its limits: it runs into them and reports the error, as the real one.
+
+use nalgebra::{Matrix6, Vector3, Vector6};
+use tendon_arm::kinematics::{JOINT_SPEED_LIMIT_RAD_PER_S, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD};
+use tendon_arm::{ArmSettings, JointVector, XArm7};
+use tendon_xarm::report::{Health, Report};
+use tendon_xarm::{ArmState, Mode, StateOrder, TwistFrame};
+
+/// Length of a step, ns.
+pub const STEP_NS: u64 = 4_000_000;
+const STEP_S: f64 = STEP_NS as f64 * 1e-9;
+
+/// Motion commands are swallowed for so long after a change of mode or state, ns.
+pub const SETTLING_NS: u64 = 100_000_000;
+
+/// Greatest linear acceleration of the flange, mm/s².
+pub const LINEAR_ACCELERATION_MM_PER_S2: f64 = 2000.0;
+/// Greatest angular acceleration of the flange, rad/s².
+pub const ANGULAR_ACCELERATION_RAD_PER_S2: f64 = 10.0;
+/// Greatest acceleration of a joint, rad/s².
+pub const JOINT_ACCELERATION_RAD_PER_S2: f64 = 20.0;
+/// Greatest linear speed that a command reaches, mm/s.
+const LINEAR_SPEED_LIMIT_MM_PER_S: f64 = 1000.0;
+/// Damping of the inverse Jacobian: small, so that a singularity ends in error 24.
+const DAMPING: f64 = 1e-3;
+
+/// Ends of the gripper's way, pulses.
+const GRIPPER_CLOSED_PULSES: f64 = -10.0;
+const GRIPPER_OPEN_PULSES: f64 = 850.0;
+/// Pulses/s of a gripper to which nobody gave a speed.
+const GRIPPER_SPEED_PULSES_PER_S: f64 = 1500.0;
+
+/// Error codes that the model raises by itself.
+pub mod code {
+    /// Emergency stop button.
+    pub const EMERGENCY_STOP: u8 = 1;
+    /// Joint limit.
+    pub const JOINT_LIMIT: u8 = 23;
+    /// Speed.
+    pub const SPEED: u8 = 24;
+    /// Collision.
+    pub const COLLISION: u8 = 31;
+    /// Safety boundary.
+    pub const BOUNDARY: u8 = 35;
+}
+
+/// What the arm is to follow.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Target {
+    Rest,
+    Flange { twist: Vector6<f64>, frame: TwistFrame },
+    Joints(JointVector),
+}
+
+/// The gripper.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gripper {
+    /// Whether its motor is on.
+    pub enabled: bool,
+    /// Where it is, pulses.
+    pub position_pulses: f64,
+    /// Where it goes, pulses.
+    pub target_pulses: f64,
+    /// How fast, pulses/s.
+    pub speed_pulses_per_s: f64,
+    /// Error code.
+    pub error: u16,
+}
+
+/// Whether an order was taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// It was.
+    Yes,
+    /// It was not: the request is invalid now.
+    Invalid,
+}
+
+/// The arm.
+#[derive(Clone, Debug)]
+pub struct Model {
+    arm: XArm7,
+    time_ns: u64,
+    joints_rad: JointVector,
+    /// Of the flange in the base frame, mm/s and rad/s, in mode 5.
+    flange_velocity: Vector6<f64>,
+    joint_velocities_rad_per_s: JointVector,
+    target: Target,
+    /// When the target becomes rest.
+    deadline_ns: Option<u64>,
+    settled_at_ns: u64,
+    motors_on: [bool; 7],
+    mode: Mode,
+    stopped: Option<ArmState>,
+    emergency_stop_pressed: bool,
+    error: u8,
+    warning: u8,
+    gripper: Gripper,
+    reduced_speed_mm_per_s: f64,
+    is_reduced: bool,
+    /// Highest and lowest x, y, z, mm.
+    boundary_mm: [i32; 6],
+    fence_on: bool,
+}
+
+impl Model {
+    /// An arm just switched on, at the default start posture of Tendon, with its gripper open.
+    pub fn new(now_ns: u64) -> Model {
+        Model {
+            arm: XArm7::new(),
+            time_ns: now_ns,
+            joints_rad: ArmSettings::default().start_joints_rad(),
+            flange_velocity: Vector6::zeros(),
+            joint_velocities_rad_per_s: JointVector::zeros(),
+            target: Target::Rest,
+            deadline_ns: None,
+            settled_at_ns: now_ns,
+            motors_on: [false; 7],
+            mode: Mode::Position,
+            stopped: Some(ArmState::Stopped),
+            emergency_stop_pressed: false,
+            error: 0,
+            warning: 0,
+            gripper: Gripper {
+                enabled: false,
+                position_pulses: GRIPPER_OPEN_PULSES,
+                target_pulses: GRIPPER_OPEN_PULSES,
+                speed_pulses_per_s: GRIPPER_SPEED_PULSES_PER_S,
+                error: 0,
+            },
+            reduced_speed_mm_per_s: 100.0,
+            is_reduced: false,
+            boundary_mm: [10_000, -10_000, 10_000, -10_000, 10_000, -10_000],
+            fence_on: false,
+        }
+    }
+
+    /// Lets time pass, in whole steps.
+    pub fn advance_to(&mut self, now_ns: u64) {
+        while self.time_ns + STEP_NS <= now_ns {
+            if self.is_still() {
+                // Nothing happens until somebody orders something.
+                self.time_ns += (now_ns - self.time_ns) / STEP_NS * STEP_NS;
+                return;
+            }
+            self.time_ns += STEP_NS;
+            self.step();
+        }
+    }
+
+    /// Switches the motor of an axis (1 to 7, 8 all) on or off.
+    pub fn enable(&mut self, axis: u8, on: bool) -> Taken {
+        if on && self.emergency_stop_pressed {
+            return Taken::Invalid;
+        }
+        match axis {
+            1..=7 => self.motors_on[usize::from(axis) - 1] = on,
+            _ => self.motors_on = [on; 7],
+        }
+        if !on {
+            self.halt(ArmState::Stopped);
+        }
+        Taken::Yes
+    }
+
+    /// Changes the mode: the arm is at rest and must be set running again.
+    pub fn set_mode(&mut self, mode: Mode) -> Taken {
+        if self.mode != mode || self.stopped.is_some() {
+            self.mode = mode;
+            self.halt(ArmState::ConfigurationChanged);
+        }
+        self.settle();
+        Taken::Yes
+    }
+
+    /// Runs, pauses or stops the arm.
+    pub fn set_state(&mut self, order: StateOrder) -> Taken {
+        match order {
+            StateOrder::Run if self.error != 0 || !self.motors_on.iter().all(|&on| on) => {
+                return Taken::Invalid;
+            }
+            StateOrder::Run => {
+                self.stopped = None;
+                self.settle();
+            }
+            StateOrder::Pause => {
+                self.rest();
+                self.stopped = Some(ArmState::Paused);
+            }
+            StateOrder::Stop => self.halt(ArmState::Stopped),
+            // The speed goes down as its acceleration allows, see `step`.
+            StateOrder::SlowAndStop => {
+                self.rest();
+                self.stopped = Some(ArmState::Stopped);
+            }
+        }
+        Taken::Yes
+    }
+
+    /// The velocity of the flange to follow: mm/s, rad/s.
+    pub fn set_flange_velocity(
+        &mut self,
+        twist: [f32; 6],
+        frame: TwistFrame,
+        duration_s: Option<f32>,
+    ) -> Taken {
+        let twist = Vector6::from(twist.map(f64::from));
+        self.follow(Mode::CartesianVelocity, Target::Flange { twist, frame }, duration_s)
+    }
+
+    /// The joint velocities to follow, rad/s.
+    pub fn set_joint_velocities(&mut self, velocities_rad_per_s: [f32; 7], duration_s: Option<f32>) -> Taken {
+        let target = Target::Joints(JointVector::from(velocities_rad_per_s.map(f64::from)));
+        self.follow(Mode::JointVelocity, target, duration_s)
+    }
+
+    fn follow(&mut self, mode: Mode, target: Target, duration_s: Option<f32>) -> Taken {
+        if !self.is_ready() || self.mode != mode {
+            return if self.error != 0 || self.mode == mode { Taken::Yes } else { Taken::Invalid };
+        }
+        if self.time_ns < self.settled_at_ns {
+            return Taken::Yes;
+        }
+        self.target = target;
+        self.deadline_ns = duration_s
+            .filter(|&duration_s| duration_s > 0.0)
+            .map(|duration_s| self.time_ns.saturating_add((f64::from(duration_s) * 1e9) as u64));
+        Taken::Yes
+    }
+
+    /// Clears the error, unless the emergency stop is still pressed.
+    pub fn clear_error(&mut self) -> Taken {
+        if self.emergency_stop_pressed {
+            return Taken::Invalid;
+        }
+        self.error = 0;
+        Taken::Yes
+    }
+
+    /// Clears the warning.
+    pub fn clear_warning(&mut self) {
+        self.warning = 0;
+    }
+
+    /// An error: the arm stops at once, in mode 0. After an emergency stop its motors are off.
+    pub fn fail(&mut self, error: u8) {
+        self.error = error;
+        self.mode = Mode::Position;
+        self.halt(ArmState::Stopped);
+        if error == code::EMERGENCY_STOP {
+            self.motors_on = [false; 7];
+            self.gripper.enabled = false;
+            self.gripper.target_pulses = self.gripper.position_pulses;
+        }
+    }
+
+    /// A warning, which stops nothing.
+    pub fn warn(&mut self, warning: u8) {
+        self.warning = warning;
+    }
+
+    /// Presses or releases the emergency stop button.
+    pub fn press_emergency_stop(&mut self, pressed: bool) {
+        self.emergency_stop_pressed = pressed;
+        if pressed {
+            self.fail(code::EMERGENCY_STOP);
+        }
+    }
+
+    /// Greatest linear speed in reduced mode, mm/s.
+    pub fn set_reduced_speed(&mut self, speed_mm_per_s: f32) {
+        self.reduced_speed_mm_per_s = f64::from(speed_mm_per_s.max(0.0));
+    }
+
+    /// Reduced mode on or off.
+    pub fn set_reduced_mode(&mut self, on: bool) {
+        self.is_reduced = on;
+    }
+
+    /// The box of the flange: highest and lowest x, y, z, mm.
+    pub fn set_boundary(&mut self, boundary_mm: [i32; 6]) {
+        self.boundary_mm = boundary_mm;
+    }
+
+    /// Whether that box is watched.
+    pub fn set_fence(&mut self, on: bool) {
+        self.fence_on = on;
+    }
+
+    /// The gripper.
+    pub fn gripper(&self) -> &Gripper {
+        &self.gripper
+    }
+
+    /// Switches the gripper's motor.
+    pub fn enable_gripper(&mut self, on: bool) {
+        self.gripper.enabled = on;
+        if !on {
+            self.gripper.target_pulses = self.gripper.position_pulses;
+        }
+    }
+
+    /// Speed of the gripper, pulses/s.
+    pub fn set_gripper_speed(&mut self, speed_pulses_per_s: u16) {
+        self.gripper.speed_pulses_per_s = f64::from(speed_pulses_per_s.max(1));
+    }
+
+    /// Where the gripper is to go, pulses; it stays while its motor is off.
+    pub fn move_gripper(&mut self, pulses: i32) {
+        if self.gripper.enabled {
+            self.gripper.target_pulses = f64::from(pulses).clamp(GRIPPER_CLOSED_PULSES, GRIPPER_OPEN_PULSES);
+        }
+    }
+
+    /// Whether the gripper moves.
+    pub fn gripper_moves(&self) -> bool {
+        self.gripper.position_pulses != self.gripper.target_pulses
+    }
+
+    /// Error and warning code.
+    pub fn codes(&self) -> (u8, u8) {
+        (self.error, self.warning)
+    }
+
+    /// Whether motion is obeyed.
+    pub fn is_ready(&self) -> bool {
+        self.error == 0 && self.stopped.is_none() && self.motors_on.iter().all(|&on| on)
+    }
+
+    /// What the arm says it is.
+    pub fn state(&self) -> ArmState {
+        match self.stopped {
+            Some(state) => state,
+            None if self.speed_mm_per_s() > 0.0 || self.joint_velocities_rad_per_s.norm() > 0.0 => {
+                ArmState::Running
+            }
+            None => ArmState::Ready,
+        }
+    }
+
+    /// Linear speed of the flange, mm/s.
+    pub fn speed_mm_per_s(&self) -> f64 {
+        let velocity = self.arm.jacobian(&self.joints_rad) * self.joint_velocities_rad_per_s;
+        velocity.fixed_rows::<3>(0).norm() * 1e3
+    }
+
+    /// What the arm reports.
+    pub fn report(&self) -> Report {
+        let motors_on = (0..7).filter(|&joint| self.motors_on[joint]).map(|joint| 1 << joint).sum();
+        Report {
+            state: self.state(),
+            mode: self.mode as u8,
+            command_count: 0,
+            joints_rad: std::array::from_fn(|joint| self.joints_rad[joint] as f32),
+            pose: self.pose(),
+            torques_nm: [0.0; 7],
+            health: Some(Health {
+                brakes_released: motors_on,
+                motors_on,
+                error: self.error,
+                warning: self.warning,
+            }),
+            forces: None,
+        }
+    }
+
+    /// Position of the flange in mm, then roll, pitch, yaw in rad.
+    fn pose(&self) -> [f32; 6] {
+        let flange = self.arm.flange_pose_m(&self.joints_rad);
+        let position = flange.translation.vector * 1e3;
+        let (roll, pitch, yaw) = flange.rotation.euler_angles();
+        [position.x, position.y, position.z, roll, pitch, yaw].map(|value| value as f32)
+    }
+
+    /// A change of mode or state: motion is swallowed for a while.
+    fn settle(&mut self) {
+        self.settled_at_ns = self.time_ns + SETTLING_NS;
+    }
+
+    fn rest(&mut self) {
+        self.target = Target::Rest;
+        self.deadline_ns = None;
+    }
+
+    /// Stands still at once.
+    fn halt(&mut self, state: ArmState) {
+        self.rest();
+        self.flange_velocity = Vector6::zeros();
+        self.joint_velocities_rad_per_s = JointVector::zeros();
+        self.stopped = Some(state);
+    }
+
+    fn is_still(&self) -> bool {
+        self.target == Target::Rest
+            && self.flange_velocity == Vector6::zeros()
+            && self.joint_velocities_rad_per_s == JointVector::zeros()
+            && !self.gripper_moves()
+    }
+
+    fn step(&mut self) {
+        let gripper = &mut self.gripper;
+        let way = gripper.speed_pulses_per_s * STEP_S;
+        gripper.position_pulses += (gripper.target_pulses - gripper.position_pulses).clamp(-way, way);
+
+        if self.deadline_ns.is_some_and(|deadline_ns| self.time_ns >= deadline_ns) {
+            self.rest();
+        }
+        let velocities = match self.mode {
+            Mode::JointVelocity => self.ramp_joints(),
+            _ => self.ramp_flange(),
+        };
+        if velocities.amax() > JOINT_SPEED_LIMIT_RAD_PER_S {
+            self.fail(code::SPEED);
+            return;
+        }
+        let joints_rad = self.joints_rad + velocities * STEP_S;
+        let is_out = |joint: usize| {
+            (joints_rad[joint] < LOWER_LIMITS_RAD[joint] && velocities[joint] < 0.0)
+                || (joints_rad[joint] > UPPER_LIMITS_RAD[joint] && velocities[joint] > 0.0)
+        };
+        if (0..7).any(is_out) {
+            self.fail(code::JOINT_LIMIT);
+            return;
+        }
+        if self.fence_on && velocities != JointVector::zeros() && self.leaves_boundary(&joints_rad) {
+            self.fail(code::BOUNDARY);
+            return;
+        }
+        self.joints_rad = joints_rad;
+        self.joint_velocities_rad_per_s = velocities;
+    }
+
+    /// The flange velocity, nearer to its target, as joint velocities.
+    fn ramp_flange(&mut self) -> JointVector {
+        let mut target = match self.target {
+            Target::Flange { twist, frame: TwistFrame::Base } => twist,
+            Target::Flange { twist, frame: TwistFrame::Tool } => {
+                let rotation = self.arm.flange_pose_m(&self.joints_rad).rotation;
+                let linear = rotation * Vector3::new(twist[0], twist[1], twist[2]);
+                let angular = rotation * Vector3::new(twist[3], twist[4], twist[5]);
+                Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+            }
+            Target::Rest | Target::Joints(_) => Vector6::zeros(),
+        };
+        let limit_mm_per_s = match self.is_reduced {
+            true => self.reduced_speed_mm_per_s.min(LINEAR_SPEED_LIMIT_MM_PER_S),
+            false => LINEAR_SPEED_LIMIT_MM_PER_S,
+        };
+        let speed_mm_per_s = target.fixed_rows::<3>(0).norm();
+        if speed_mm_per_s > limit_mm_per_s {
+            target *= limit_mm_per_s / speed_mm_per_s;
+        }
+        for (rows, acceleration) in [(0, LINEAR_ACCELERATION_MM_PER_S2), (3, ANGULAR_ACCELERATION_RAD_PER_S2)]
+        {
+            let change = target.fixed_rows::<3>(rows) - self.flange_velocity.fixed_rows::<3>(rows);
+            let share = (acceleration * STEP_S / change.norm()).min(1.0);
+            if share < 1.0 {
+                let mut velocity = self.flange_velocity.fixed_rows_mut::<3>(rows);
+                velocity += change * share;
+            } else {
+                // To the last bit, so that rest is rest.
+                self.flange_velocity.fixed_rows_mut::<3>(rows).copy_from(&target.fixed_rows::<3>(rows));
+            }
+        }
+        let mut twist_m = self.flange_velocity;
+        twist_m.fixed_rows_mut::<3>(0).scale_mut(1e-3);
+        if twist_m == Vector6::zeros() {
+            return JointVector::zeros();
+        }
+        let jacobian = self.arm.jacobian(&self.joints_rad);
+        let damped = jacobian * jacobian.transpose() + Matrix6::identity() * (DAMPING * DAMPING);
+        match damped.cholesky() {
+            Some(factors) => jacobian.transpose() * factors.solve(&twist_m),
+            // Positive definite by the damping; were it not, standing still is safe.
+            None => JointVector::zeros(),
+        }
+    }
+
+    /// The joint velocities, nearer to their target.
+    fn ramp_joints(&self) -> JointVector {
+        let target = match self.target {
+            Target::Joints(velocities) => velocities,
+            Target::Rest | Target::Flange { .. } => JointVector::zeros(),
+        };
+        let change = JOINT_ACCELERATION_RAD_PER_S2 * STEP_S;
+        self.joint_velocities_rad_per_s.zip_map(&target, |now, target| {
+            if (target - now).abs() <= change { target } else { now + change.copysign(target - now) }
+        })
+    }
+
+    fn leaves_boundary(&self, joints_rad: &JointVector) -> bool {
+        let [now, next] = [&self.joints_rad, joints_rad]
+            .map(|joints| self.arm.flange_pose_m(joints).translation.vector * 1e3);
+        (0..3).any(|axis| {
+            let [highest, lowest] =
+                [self.boundary_mm[2 * axis], self.boundary_mm[2 * axis + 1]].map(f64::from);
+            (next[axis] > highest && next[axis] > now[axis])
+                || (next[axis] < lowest && next[axis] < now[axis])
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    /// An arm that obeys velocities of its flange, and the time.
+    fn ready(mode: Mode) -> (Model, u64) {
+        let mut model = Model::new(0);
+        assert_eq!(model.enable(8, true), Taken::Yes);
+        assert_eq!(model.set_mode(mode), Taken::Yes);
+        assert_eq!(model.state(), ArmState::ConfigurationChanged);
+        assert_eq!(model.set_state(StateOrder::Run), Taken::Yes);
+        model.advance_to(SETTLING_NS);
+        (model, SETTLING_NS)
+    }
+
+    fn along_x(speed: f32) -> [f32; 6] {
+        [speed, 0.0, 0.0, 0.0, 0.0, 0.0]
+    }
+
+    #[test]
+    fn nothing_moves_before_it_is_enabled_and_set_running() {
+        let mut model = Model::new(0);
+        assert_eq!(model.set_state(StateOrder::Run), Taken::Invalid);
+        model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None);
+        model.advance_to(1000 * MS);
+        assert_eq!(model.speed_mm_per_s(), 0.0);
+        assert!(!model.is_ready());
+    }
+
+    #[test]
+    fn a_command_right_after_a_change_is_swallowed() {
+        let mut model = Model::new(0);
+        model.enable(8, true);
+        model.set_mode(Mode::CartesianVelocity);
+        model.set_state(StateOrder::Run);
+        assert_eq!(model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None), Taken::Yes);
+        model.advance_to(500 * MS);
+        assert_eq!(model.speed_mm_per_s(), 0.0);
+    }
+
+    #[test]
+    fn duration_ends_the_motion_and_its_absence_does_not() {
+        let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+        let before = model.pose();
+        model.set_flange_velocity(along_x(100.0), TwistFrame::Base, Some(0.2));
+        model.advance_to(start_ns + 150 * MS);
+        // Half a step late, the Jacobian is that of the posture after it.
+        assert!((model.speed_mm_per_s() - 100.0).abs() < 0.1, "{}", model.speed_mm_per_s());
+        assert_eq!(model.state(), ArmState::Running);
+        // 100 mm/s ends in 50 ms at 2000 mm/s², and a step or two.
+        model.advance_to(start_ns + 260 * MS);
+        assert_eq!((model.speed_mm_per_s(), model.state()), (0.0, ArmState::Ready));
+        // The way: 0.2 s at 100 mm/s, whatever the two ramps.
+        assert!((model.pose()[0] - before[0] - 20.0).abs() < 1.0, "{:?}", model.pose());
+        model.set_flange_velocity(along_x(-50.0), TwistFrame::Base, None);
+        model.advance_to(start_ns + 1200 * MS);
+        assert!((model.speed_mm_per_s() - 50.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn speed_is_gathered_no_faster_than_the_arm_can() {
+        let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+        model.set_flange_velocity([0.0, 200.0, 0.0, 0.0, 0.0, 0.0], TwistFrame::Base, None);
+        let mut last = 0.0;
+        for step in 1..=60 {
+            model.advance_to(start_ns + step * STEP_NS);
+            let speed = model.speed_mm_per_s();
+            assert!(speed - last <= LINEAR_ACCELERATION_MM_PER_S2 * STEP_S + 0.5, "{last} to {speed} mm/s");
+            last = speed;
+        }
+        assert!((last - 200.0).abs() < 0.2, "{last} mm/s");
+    }
+
+    #[test]
+    fn a_joint_limit_is_an_error_that_must_be_cleared() {
+        let (mut model, start_ns) = ready(Mode::JointVelocity);
+        let towards_limit = [0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0];
+        model.set_joint_velocities(towards_limit, None);
+        model.advance_to(start_ns + 3000 * MS);
+        assert_eq!(model.codes(), (code::JOINT_LIMIT, 0));
+        assert_eq!((model.mode, model.state()), (Mode::Position, ArmState::Stopped));
+        assert!(model.joints_rad[5] <= UPPER_LIMITS_RAD[5]);
+        assert_eq!(model.set_state(StateOrder::Run), Taken::Invalid);
+        model.clear_error();
+        model.set_mode(Mode::JointVelocity);
+        assert_eq!(model.set_state(StateOrder::Run), Taken::Yes);
+        model.advance_to(start_ns + 4000 * MS);
+        model.set_joint_velocities(towards_limit.map(|value| -value), Some(0.2));
+        model.advance_to(start_ns + 5000 * MS);
+        assert_eq!(model.codes(), (0, 0));
+    }
+
+    #[test]
+    fn stop_is_at_once_and_lasts() {
+        let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+        model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None);
+        model.advance_to(start_ns + 200 * MS);
+        model.set_state(StateOrder::Stop);
+        assert_eq!((model.speed_mm_per_s(), model.state()), (0.0, ArmState::Stopped));
+        model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None);
+        model.advance_to(start_ns + 500 * MS);
+        assert_eq!(model.speed_mm_per_s(), 0.0);
+    }
+
+    #[test]
+    fn an_emergency_stop_takes_the_power_until_it_is_released() {
+        let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+        model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None);
+        model.advance_to(start_ns + 200 * MS);
+        model.press_emergency_stop(true);
+        assert_eq!((model.speed_mm_per_s(), model.codes()), (0.0, (code::EMERGENCY_STOP, 0)));
+        assert_eq!((model.clear_error(), model.enable(8, true)), (Taken::Invalid, Taken::Invalid));
+        model.press_emergency_stop(false);
+        assert_eq!((model.clear_error(), model.enable(8, true)), (Taken::Yes, Taken::Yes));
+        assert!(!model.is_ready());
+    }
+
+    #[test]
+    fn the_fence_stops_who_leaves_it_and_lets_back_in() {
+        let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+        let edge_mm = model.pose()[0] as i32 + 30;
+        model.set_boundary([edge_mm, -1000, 1000, -1000, 1000, -1000]);
+        model.set_fence(true);
+        model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None);
+        model.advance_to(start_ns + 1000 * MS);
+        assert_eq!(model.codes().0, code::BOUNDARY);
+        assert!(model.pose()[0] <= edge_mm as f32);
+    }
+
+    #[test]
+    fn the_gripper_takes_its_time() {
+        let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+        model.move_gripper(0);
+        assert!(!model.gripper_moves(), "its motor is off");
+        model.enable_gripper(true);
+        model.set_gripper_speed(1000);
+        model.move_gripper(350);
+        model.advance_to(start_ns + 400 * MS);
+        assert!(model.gripper_moves());
+        model.advance_to(start_ns + 504 * MS);
+        assert_eq!((model.gripper_moves(), model.gripper().position_pulses), (false, 350.0));
+        model.move_gripper(5000);
+        model.advance_to(start_ns + 5000 * MS);
+        assert_eq!(model.gripper().position_pulses, 850.0);
+    }
+
+    #[test]
+    fn how_often_it_is_looked_at_makes_no_difference() {
+        let motion = |looks: u64| {
+            let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+            model.set_flange_velocity([40.0, -30.0, 20.0, 0.1, 0.0, 0.2], TwistFrame::Tool, Some(0.5));
+            for look in 1..=looks {
+                model.advance_to(start_ns + 1000 * MS * look / looks);
+            }
+            model.joints_rad
+        };
+        assert_eq!(motion(1), motion(777));
+    }
+}

@@ -1,0 +1,636 @@
+//! Frames of the control connection (TCP port 502): requests, replies, and a decoder for their stream.
+//!
+//! ```text
+//! request  transaction u16be │ protocol u16be │ length u16be │ register u8 │              │ parameters
+//! reply    transaction u16be │ protocol u16be │ length u16be │ register u8 │ state byte u8 │ parameters
+//!          └────────────── header, 6 bytes ───────────────┘ └──────── body, `length` bytes ────────┘
+//! ```
+//!
+//! The protocol is 2. On the same port the vendor's client may send its heartbeat (protocol 1), plain Modbus TCP
+//! (protocol 0) and protocol 3, which is 2 under another number; all share the header.
+
+use crate::error::Source;
+
+/// The protocol number of requests and replies.
+pub const PROTOCOL: u16 = 2;
+
+/// The protocol number of the heartbeat, which has no reply.
+pub const HEARTBEAT_PROTOCOL: u16 = 1;
+
+/// The highest protocol number that the arm knows.
+pub const HIGHEST_PROTOCOL: u16 = 3;
+
+/// The register of frames that the arm sends unasked.
+pub const FEEDBACK_REGISTER: u8 = 0xFF;
+
+/// Bytes of the header.
+pub const HEADER_LENGTH: usize = 6;
+
+/// The longest body that counts as one, in bytes: twice what the longest known reply needs.
+pub const LONGEST_BODY: usize = 512;
+
+/// The shortest body in bytes: a request without parameters.
+const SHORTEST_BODY: usize = 1;
+
+/// The transaction id after this one: 1 to 65535, then 1 again.
+pub fn next_transaction(transaction: u16) -> u16 {
+    if transaction == u16::MAX { 1 } else { transaction + 1 }
+}
+
+/// One frame of either direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// Which request this is, or answers.
+    pub transaction: u16,
+    /// Protocol number, 0 to [`HIGHEST_PROTOCOL`].
+    pub protocol: u16,
+    /// What follows the header: 1 to [`LONGEST_BODY`] bytes.
+    pub body: &'a [u8],
+}
+
+impl Frame<'_> {
+    /// Appends the bytes of this frame.
+    ///
+    /// # Panics
+    /// If the body is longer than [`LONGEST_BODY`] bytes.
+    pub fn encode(&self, into: &mut Vec<u8>) {
+        assert!(self.body.len() <= LONGEST_BODY, "a body of {} bytes", self.body.len());
+        encode_header(into, self.transaction, self.protocol, self.body.len());
+        into.extend_from_slice(self.body);
+    }
+}
+
+/// Appends a request: the register and its parameters.
+///
+/// # Panics
+/// If there are more parameters than fit into [`LONGEST_BODY`] bytes.
+pub fn encode_request(into: &mut Vec<u8>, transaction: u16, register: u8, parameters: &[u8]) {
+    assert!(parameters.len() < LONGEST_BODY, "{} bytes of parameters", parameters.len());
+    encode_header(into, transaction, PROTOCOL, 1 + parameters.len());
+    into.push(register);
+    into.extend_from_slice(parameters);
+}
+
+fn encode_header(into: &mut Vec<u8>, transaction: u16, protocol: u16, body_length: usize) {
+    into.extend_from_slice(&transaction.to_be_bytes());
+    into.extend_from_slice(&protocol.to_be_bytes());
+    into.extend_from_slice(&(body_length as u16).to_be_bytes());
+}
+
+/// What the arm says of itself with every reply.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StateByte(pub u8);
+
+impl StateByte {
+    /// The request was invalid or failed.
+    pub const INVALID: u8 = 0x08;
+    /// The arm is not ready to move.
+    pub const NOT_READY: u8 = 0x10;
+    /// A warning is pending.
+    pub const WARNING: u8 = 0x20;
+    /// An error is pending.
+    pub const ERROR: u8 = 0x40;
+
+    /// Whether the request was invalid or failed.
+    pub fn is_invalid(self) -> bool {
+        self.0 & Self::INVALID != 0
+    }
+
+    /// Whether the arm is not ready to move: it ignores motion.
+    pub fn is_not_ready(self) -> bool {
+        self.0 & Self::NOT_READY != 0
+    }
+
+    /// Whether a warning is pending.
+    pub fn has_warning(self) -> bool {
+        self.0 & Self::WARNING != 0
+    }
+
+    /// Whether an error is pending.
+    pub fn has_error(self) -> bool {
+        self.0 & Self::ERROR != 0
+    }
+}
+
+/// The answer to a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reply<'a> {
+    /// The request it answers.
+    pub transaction: u16,
+    /// The register of that request.
+    pub register: u8,
+    /// What the arm says of itself.
+    pub state: StateByte,
+    /// The values that were asked for.
+    pub parameters: &'a [u8],
+}
+
+/// A frame that is no reply, or a reply without what was asked for.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ReplyError {
+    /// Another protocol.
+    #[error("reply {transaction} has protocol {protocol} instead of 2: is this the control port of an xArm?")]
+    Protocol {
+        /// Its transaction id.
+        transaction: u16,
+        /// Its protocol.
+        protocol: u16,
+    },
+    /// No state byte.
+    #[error(
+        "reply {transaction} has a body of {length} bytes and no state byte: is this the control port of an xArm?"
+    )]
+    Truncated {
+        /// Its transaction id.
+        transaction: u16,
+        /// Bytes of its body.
+        length: usize,
+    },
+    /// Too few parameters.
+    #[error(
+        "the reply of register {register:#04x} has {found} bytes of values instead of {expected}: \
+         the firmware may be of another generation, update it"
+    )]
+    Short {
+        /// The register.
+        register: u8,
+        /// Bytes wanted.
+        expected: usize,
+        /// Bytes there.
+        found: usize,
+    },
+    /// A value out of its range.
+    #[error(
+        "the reply of register {register:#04x} holds {value}, which is no {what}: update the firmware or Tendon"
+    )]
+    Value {
+        /// The register.
+        register: u8,
+        /// What the value should have been.
+        what: &'static str,
+        /// The value.
+        value: String,
+    },
+    /// The gripper or its line refused.
+    #[error(
+        "the gripper answered with Modbus exception {code}: check that an xArm gripper (address 8) is mounted, \
+         and its cable"
+    )]
+    Gripper {
+        /// Modbus exception code.
+        code: u8,
+    },
+}
+
+impl<'a> Reply<'a> {
+    /// The reply in a frame.
+    ///
+    /// # Errors
+    /// [`ReplyError::Protocol`] or [`ReplyError::Truncated`] if the frame is none.
+    pub fn parse(frame: &Frame<'a>) -> Result<Reply<'a>, ReplyError> {
+        let &Frame { transaction, protocol, body } = frame;
+        if protocol != PROTOCOL {
+            return Err(ReplyError::Protocol { transaction, protocol });
+        }
+        match *body {
+            [register, state, ref parameters @ ..] => {
+                Ok(Reply { transaction, register, state: StateByte(state), parameters })
+            }
+            _ => Err(ReplyError::Truncated { transaction, length: body.len() }),
+        }
+    }
+
+    /// Appends the bytes of this reply under a protocol number.
+    ///
+    /// # Panics
+    /// If there are more parameters than fit into [`LONGEST_BODY`] bytes.
+    pub fn encode(&self, protocol: u16, into: &mut Vec<u8>) {
+        assert!(self.parameters.len() + 2 <= LONGEST_BODY, "{} bytes of values", self.parameters.len());
+        encode_header(into, self.transaction, protocol, 2 + self.parameters.len());
+        into.extend_from_slice(&[self.register, self.state.0]);
+        into.extend_from_slice(self.parameters);
+    }
+
+    /// The text of [`crate::Command::GetVersion`] or [`crate::Command::GetSerialNumber`].
+    ///
+    /// # Errors
+    /// [`ReplyError::Value`] if it is no ASCII text.
+    pub fn text(&self) -> Result<&'a str, ReplyError> {
+        let end = self.parameters.iter().position(|&byte| byte == 0).unwrap_or(self.parameters.len());
+        let text = &self.parameters[..end];
+        match std::str::from_utf8(text) {
+            Ok(text) if text.is_ascii() => Ok(text),
+            _ => Err(ReplyError::Value {
+                register: self.register,
+                what: "ASCII text",
+                value: String::from_utf8_lossy(text).into_owned(),
+            }),
+        }
+    }
+
+    /// The one byte of [`crate::Command::GetState`].
+    ///
+    /// # Errors
+    /// [`ReplyError::Short`] without it, [`ReplyError::Value`] if it names no state.
+    pub fn arm_state(&self) -> Result<crate::ArmState, ReplyError> {
+        let [number] = self.array::<1>()?;
+        crate::ArmState::from_number(number).ok_or_else(|| ReplyError::Value {
+            register: self.register,
+            what: "state of the arm",
+            value: number.to_string(),
+        })
+    }
+
+    /// The error and the warning code of [`crate::Command::GetErrors`]; 0 is none.
+    ///
+    /// # Errors
+    /// [`ReplyError::Short`] without them.
+    pub fn codes(&self) -> Result<(u8, u8), ReplyError> {
+        let [error, warning] = self.array::<2>()?;
+        Ok((error, warning))
+    }
+
+    /// How many commands wait, of [`crate::Command::GetCommandCount`].
+    ///
+    /// # Errors
+    /// [`ReplyError::Short`] without it.
+    pub fn command_count(&self) -> Result<u16, ReplyError> {
+        Ok(u16::from_be_bytes(self.array::<2>()?))
+    }
+
+    /// The values of [`crate::Command::GetPose`] (6: mm, then rad roll pitch yaw) or
+    /// [`crate::Command::GetJoints`] (7: rad).
+    ///
+    /// # Errors
+    /// [`ReplyError::Short`] if there are fewer, [`ReplyError::Value`] if one is not finite.
+    pub fn floats<const COUNT: usize>(&self) -> Result<[f32; COUNT], ReplyError> {
+        let expected = 4 * COUNT;
+        let bytes = self.parameters.get(..expected).ok_or_else(|| self.short(expected))?;
+        let mut values = [0.0; COUNT];
+        for (value, bytes) in values.iter_mut().zip(bytes.chunks_exact(4)) {
+            *value = f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+            if !value.is_finite() {
+                return Err(ReplyError::Value {
+                    register: self.register,
+                    what: "finite number",
+                    value: value.to_string(),
+                });
+            }
+        }
+        Ok(values)
+    }
+
+    /// The values of a Modbus read from the gripper: `COUNT` bytes, without address, function and count.
+    ///
+    /// # Errors
+    /// [`ReplyError::Gripper`] if the gripper refused, [`ReplyError::Short`] if bytes are missing.
+    pub fn gripper_values<const COUNT: usize>(&self) -> Result<[u8; COUNT], ReplyError> {
+        match *self.parameters {
+            [_, _, function, code, ..] if function & 0x80 != 0 => Err(ReplyError::Gripper { code }),
+            [_, _, 0x03, count, ref values @ ..] if usize::from(count) == COUNT && values.len() >= COUNT => {
+                let mut array = [0; COUNT];
+                array.copy_from_slice(&values[..COUNT]);
+                Ok(array)
+            }
+            _ => Err(self.short(4 + COUNT)),
+        }
+    }
+
+    /// The position of the gripper in pulses, of [`crate::GripperRequest::GetPosition`].
+    ///
+    /// # Errors
+    /// As [`Reply::gripper_values`].
+    pub fn gripper_position_pulses(&self) -> Result<i32, ReplyError> {
+        Ok(i32::from_be_bytes(self.gripper_values()?))
+    }
+
+    /// Whether the gripper took a write.
+    ///
+    /// # Errors
+    /// [`ReplyError::Gripper`] if it refused, [`ReplyError::Short`] if it did not answer.
+    pub fn gripper_took_it(&self) -> Result<(), ReplyError> {
+        match *self.parameters {
+            [_, _, function, code, ..] if function & 0x80 != 0 => Err(ReplyError::Gripper { code }),
+            [_, _, 0x10, ..] => Ok(()),
+            _ => Err(self.short(7)),
+        }
+    }
+
+    fn array<const COUNT: usize>(&self) -> Result<[u8; COUNT], ReplyError> {
+        let bytes = self.parameters.get(..COUNT).ok_or_else(|| self.short(COUNT))?;
+        let mut array = [0; COUNT];
+        array.copy_from_slice(bytes);
+        Ok(array)
+    }
+
+    fn short(&self, expected: usize) -> ReplyError {
+        ReplyError::Short { register: self.register, expected, found: self.parameters.len() }
+    }
+}
+
+/// Cuts a byte stream into frames, however the bytes come: torn, several at once, with garbage between.
+///
+/// Bytes that cannot begin a frame are skipped one by one and counted. It holds one frame at most; it never
+/// allocates once constructed.
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    buffer: Box<[u8; HEADER_LENGTH + LONGEST_BODY]>,
+    filled: usize,
+    /// The frame handed out last still lies in the buffer.
+    handed_out: bool,
+    skipped_bytes: u64,
+}
+
+impl Default for Decoder {
+    fn default() -> Decoder {
+        Decoder::new()
+    }
+}
+
+impl Decoder {
+    /// A decoder at the beginning of a stream.
+    pub fn new() -> Decoder {
+        Decoder {
+            buffer: Box::new([0; HEADER_LENGTH + LONGEST_BODY]),
+            filled: 0,
+            handed_out: false,
+            skipped_bytes: 0,
+        }
+    }
+
+    /// The next frame. Takes from the front of `input` what it needs; `None` once all is taken and no frame is
+    /// complete.
+    pub fn next_frame(&mut self, input: &mut &[u8]) -> Option<Frame<'_>> {
+        if std::mem::take(&mut self.handed_out) {
+            self.filled = 0;
+        }
+        loop {
+            if !self.fill(HEADER_LENGTH, input) {
+                return None;
+            }
+            let [t0, t1, p0, p1, l0, l1, ..] = *self.buffer;
+            let protocol = u16::from_be_bytes([p0, p1]);
+            let length = usize::from(u16::from_be_bytes([l0, l1]));
+            if protocol > HIGHEST_PROTOCOL || !(SHORTEST_BODY..=LONGEST_BODY).contains(&length) {
+                self.buffer.copy_within(1..HEADER_LENGTH, 0);
+                self.filled = HEADER_LENGTH - 1;
+                self.skipped_bytes += 1;
+                continue;
+            }
+            let end = HEADER_LENGTH + length;
+            if !self.fill(end, input) {
+                return None;
+            }
+            self.handed_out = true;
+            return Some(Frame {
+                transaction: u16::from_be_bytes([t0, t1]),
+                protocol,
+                body: &self.buffer[HEADER_LENGTH..end],
+            });
+        }
+    }
+
+    /// How many bytes were skipped since the beginning.
+    pub fn skipped_bytes(&self) -> u64 {
+        self.skipped_bytes
+    }
+
+    /// Forgets the frame that is not complete, should what looked like one be garbage that claims a long body.
+    pub fn give_up(&mut self) {
+        if !std::mem::take(&mut self.handed_out) {
+            self.skipped_bytes += self.filled as u64;
+        }
+        self.filled = 0;
+    }
+
+    /// Fills the buffer up to `end`, if `input` has that much.
+    fn fill(&mut self, end: usize, input: &mut &[u8]) -> bool {
+        let taken = end.saturating_sub(self.filled).min(input.len());
+        let (now, later) = input.split_at(taken);
+        self.buffer[self.filled..self.filled + taken].copy_from_slice(now);
+        self.filled += taken;
+        *input = later;
+        self.filled >= end
+    }
+}
+
+/// The fault that a reply of [`crate::Command::GetErrors`] tells, if any; an error goes before a warning.
+///
+/// # Errors
+/// As [`Reply::codes`].
+pub fn fault(reply: &Reply<'_>) -> Result<Option<crate::Fault>, ReplyError> {
+    let (error, warning) = reply.codes()?;
+    Ok(crate::Fault::new(Source::Controller, error).or_else(|| crate::Fault::new(Source::Warning, warning)))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::command::{ALL_AXES, Command, CommandError, GripperRequest, Mode, StateOrder, TwistFrame};
+
+    fn encoded(command: Command, transaction: u16) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        command.encode(transaction, &mut bytes);
+        bytes
+    }
+
+    fn hex(text: &str) -> Vec<u8> {
+        let digits: String = text.split_whitespace().collect();
+        (0..digits.len()).step_by(2).map(|at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap()).collect()
+    }
+
+    fn velocity() -> Command {
+        Command::CartesianVelocity {
+            twist: [30.0, 0.0, 20.0, std::f32::consts::FRAC_PI_6, 0.0, 0.0],
+            frame: TwistFrame::Base,
+            duration_s: Some(0.2),
+        }
+    }
+
+    /// From the vendor's pages, whole frames.
+    #[test]
+    fn requests_are_the_vendors_bytes() {
+        let vectors = [
+            (
+                velocity(),
+                1,
+                "0001 0002 001E 52 0000F041 00000000 0000A041 920A063F 00000000 00000000 00 CDCC4C3E",
+            ),
+            (Command::GetVersion, 1, "0001 0002 0001 01"),
+            (Command::Enable { axis: ALL_AXES, on: true }, 1, "0001 0002 0003 0B 08 01"),
+            (Command::SetMode(Mode::CartesianVelocity), 2, "0002 0002 0002 13 05"),
+            (Command::SetState(StateOrder::Run), 3, "0003 0002 0002 0C 00"),
+            (Command::SetState(StateOrder::Stop), 3, "0003 0002 0002 0C 04"),
+            (
+                Command::Gripper(GripperRequest::Enable(true)),
+                1,
+                "0001 0002 000B 7C 09 08 10 0100 0001 02 0001",
+            ),
+            (
+                Command::Gripper(GripperRequest::MoveTo(850)),
+                1,
+                "0001 0002 000D 7C 09 08 10 0700 0002 04 00000352",
+            ),
+            (Command::Gripper(GripperRequest::GetPosition), 1, "0001 0002 0008 7C 09 08 03 0702 0002"),
+        ];
+        for (command, transaction, bytes) in vectors {
+            assert_eq!(encoded(command, transaction), hex(bytes), "{command:?}");
+            assert_eq!(Command::decode(&hex(bytes)[HEADER_LENGTH..]), Ok(command));
+        }
+    }
+
+    fn parse(bytes: &[u8], look: impl FnOnce(Reply<'_>)) {
+        let mut decoder = Decoder::new();
+        let mut input = bytes;
+        let frame = decoder.next_frame(&mut input).expect("a whole frame");
+        look(Reply::parse(&frame).unwrap());
+        assert!(input.is_empty());
+    }
+
+    #[test]
+    fn replies_are_read_as_the_vendor_means_them() {
+        parse(&hex("0001 0002 0002 52 00"), |reply| {
+            assert_eq!((reply.transaction, reply.register, reply.state), (1, 0x52, StateByte(0)));
+        });
+        let mut version = hex("0001 0002 002A 01 00");
+        version.extend(b"6,6,XI1202,AC1302,v1.12.10");
+        version.resize(48, 0);
+        parse(&version, |reply| assert_eq!(reply.text(), Ok("6,6,XI1202,AC1302,v1.12.10")));
+        parse(&hex("0001 0002 0009 7C 00 09 08 10 0100 0001"), |reply| {
+            assert_eq!(reply.gripper_took_it(), Ok(()));
+        });
+        parse(&hex("0001 0002 000A 7C 00 09 08 03 04 FFFFFFF6"), |reply| {
+            assert_eq!(reply.gripper_position_pulses(), Ok(-10));
+        });
+        parse(&hex("0001 0002 0006 7C 00 09 08 83 02"), |reply| {
+            assert_eq!(reply.gripper_position_pulses(), Err(ReplyError::Gripper { code: 2 }));
+        });
+        parse(&hex("0007 0002 0004 0F 50 17 00"), |reply| {
+            assert_eq!(reply.codes(), Ok((23, 0)));
+            assert!(reply.state.has_error() && reply.state.is_not_ready());
+            assert!(!reply.state.is_invalid() && !reply.state.has_warning());
+        });
+        parse(&hex("0007 0002 0003 0D 00 04"), |reply| {
+            assert_eq!(reply.arm_state(), Ok(crate::ArmState::Stopped));
+        });
+    }
+
+    #[test]
+    fn transactions_wrap_to_one() {
+        assert_eq!((next_transaction(1), next_transaction(65534), next_transaction(65535)), (2, 65535, 1));
+    }
+
+    #[test]
+    fn a_request_that_is_none_is_named() {
+        assert_eq!(Command::decode(&[]), Err(CommandError::Empty));
+        assert_eq!(Command::decode(&[0xEE]), Err(CommandError::UnknownRegister(0xEE)));
+        assert_eq!(Command::decode(&[0x13, 3]), Err(CommandError::Parameters { register: 0x13, length: 1 }));
+        let mut not_finite = encoded(velocity(), 1);
+        not_finite[7..11].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(Command::decode(&not_finite[HEADER_LENGTH..]).is_err());
+    }
+
+    #[test]
+    fn the_newer_clients_set_mode_is_understood() {
+        assert_eq!(Command::decode(&[0x13, 5, 0]), Ok(Command::SetMode(Mode::CartesianVelocity)));
+    }
+
+    fn finite() -> impl Strategy<Value = f32> {
+        -1e6..1e6_f32
+    }
+
+    fn any_command() -> impl Strategy<Value = Command> {
+        let duration = || prop::option::of(0.0..10.0_f32);
+        prop_oneof![
+            Just(Command::GetVersion),
+            Just(Command::GetErrors),
+            Just(Command::GetJoints),
+            (1..=8_u8, any::<bool>()).prop_map(|(axis, on)| Command::Enable { axis, on }),
+            any::<[i32; 6]>().prop_map(Command::SetBoundary),
+            finite().prop_map(Command::SetReducedSpeed),
+            any::<bool>().prop_map(Command::SetFence),
+            any::<i32>().prop_map(|pulses| Command::Gripper(GripperRequest::MoveTo(pulses))),
+            any::<u16>().prop_map(|speed| Command::Gripper(GripperRequest::SetSpeed(speed))),
+            (prop::array::uniform6(finite()), any::<bool>(), duration()).prop_map(
+                |(twist, in_tool, duration_s)| Command::CartesianVelocity {
+                    twist,
+                    frame: if in_tool { TwistFrame::Tool } else { TwistFrame::Base },
+                    duration_s,
+                }
+            ),
+            (prop::array::uniform7(finite()), any::<bool>(), duration()).prop_map(
+                |(velocities_rad_per_s, synchronous, duration_s)| Command::JointVelocity {
+                    velocities_rad_per_s,
+                    synchronous,
+                    duration_s,
+                }
+            ),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn commands_survive_the_wire(
+            commands in prop::collection::vec((any_command(), any::<u16>()), 0..20),
+            piece in 1..100_usize,
+        ) {
+            let mut stream = Vec::new();
+            for (command, transaction) in &commands {
+                command.encode(*transaction, &mut stream);
+            }
+            let mut decoder = Decoder::new();
+            let mut received = Vec::new();
+            for mut piece in stream.chunks(piece) {
+                while let Some(frame) = decoder.next_frame(&mut piece) {
+                    received.push((Command::decode(frame.body).unwrap(), frame.transaction));
+                }
+            }
+            prop_assert_eq!(received, commands);
+            prop_assert_eq!(decoder.skipped_bytes(), 0);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(100_000))]
+
+        /// Frames with some bytes changed and garbage behind, in pieces: it ends, never panics, and a whole frame
+        /// after the longest that a false length can swallow is found.
+        #[test]
+        fn whatever_comes_the_decoder_goes_on(
+            commands in prop::collection::vec(any_command(), 0..4),
+            garbage in prop::collection::vec(any::<u8>(), 0..200),
+            changes in prop::collection::vec((any::<usize>(), any::<u8>()), 0..6),
+            piece in 1..300_usize,
+        ) {
+            let mut stream = Vec::new();
+            for command in &commands {
+                command.encode(1, &mut stream);
+            }
+            stream.extend(garbage);
+            let length = stream.len();
+            for (place, value) in changes {
+                if length > 0 {
+                    stream[place % length] = value;
+                }
+            }
+            stream.extend([0xAA; HEADER_LENGTH + LONGEST_BODY]);
+            velocity().encode(4711, &mut stream);
+            let mut decoder = Decoder::new();
+            let mut last = None;
+            for mut piece in stream.chunks(piece) {
+                while let Some(frame) = decoder.next_frame(&mut piece) {
+                    // None of these may panic, whatever the frame.
+                    if let Ok(reply) = Reply::parse(&frame) {
+                        let _ = (reply.text(), reply.arm_state(), fault(&reply), reply.command_count());
+                        let _ = (reply.floats::<6>(), reply.floats::<7>());
+                        let _ = (reply.gripper_position_pulses(), reply.gripper_took_it());
+                    }
+                    last = Some((frame.transaction, Command::decode(frame.body)));
+                }
+            }
+            prop_assert_eq!(last, Some((4711, Ok(velocity()))));
+        }
+    }
+}
