@@ -25,7 +25,7 @@ pub enum Command {
     /// * 3DC: folders ParticipantP/train/EMG and ParticipantP/test/EMG with files 3dc_EMG_gesture_R_G.txt, 1000 Hz.
     ///
     /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD; saved with `save -v7`), or files
-    ///   P<person>_C<cycle>_G<gesture>.csv, one a trial; 2000 Hz. Those in a folder `filtered` need --filtered.
+    ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Those in a folder `filtered` need --filtered.
     ///
     /// * Your own: tables (.csv, .tsv, .txt; a line a sample, a column a channel) and beside them labels.csv with the
     ///   header file,person,session,repetition,gesture,start_sample,end_sample. Give --recording-rate-hz. Session may
