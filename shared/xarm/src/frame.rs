@@ -405,13 +405,18 @@ impl Decoder {
 
     /// Fills the buffer up to `end`, if `input` has that much.
     fn fill(&mut self, end: usize, input: &mut &[u8]) -> bool {
-        let taken = end.saturating_sub(self.filled).min(input.len());
-        let (now, later) = input.split_at(taken);
-        self.buffer[self.filled..self.filled + taken].copy_from_slice(now);
-        self.filled += taken;
-        *input = later;
-        self.filled >= end
+        fill(&mut self.buffer[..], &mut self.filled, end, input)
     }
+}
+
+/// Fills `buffer`, of which `filled` bytes are there, up to `end`; whether `input` had that much.
+pub(crate) fn fill(buffer: &mut [u8], filled: &mut usize, end: usize, input: &mut &[u8]) -> bool {
+    let taken = end.saturating_sub(*filled).min(input.len());
+    let (now, later) = input.split_at(taken);
+    buffer[*filled..*filled + taken].copy_from_slice(now);
+    *filled += taken;
+    *input = later;
+    *filled >= end
 }
 
 /// The fault that a reply of [`crate::Command::GetErrors`] tells, if any; an error goes before a warning.

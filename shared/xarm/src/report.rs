@@ -14,6 +14,7 @@
 //! Of the lengths 133 and 233 some firmware sends 12 bytes more than it says; the decoder skips them.
 
 use crate::ArmState;
+use crate::frame::fill;
 
 /// Which of the report connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -255,12 +256,7 @@ impl Decoder {
 
     /// Fills the buffer up to `end`, if `input` has that much.
     fn fill(&mut self, end: usize, input: &mut &[u8]) -> bool {
-        let taken = end.saturating_sub(self.filled).min(input.len());
-        let (now, later) = input.split_at(taken);
-        self.buffer[self.filled..self.filled + taken].copy_from_slice(now);
-        self.filled += taken;
-        *input = later;
-        self.filled >= end
+        fill(&mut self.buffer[..], &mut self.filled, end, input)
     }
 }
 
