@@ -17,7 +17,6 @@ use tendon_classifier::{Recogniser, WindowSource};
 use tendon_gesture::Gesture;
 use tendon_messages::{Measurement, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
 use tendon_process::{Consumer, Policy, StageProcess};
-use tendon_signal::WindowInput;
 use tendon_transport::{Publisher, Received, Subscriber, now_ns};
 
 /// Windows classified before the session starts: the first runs allocate and fill caches.
@@ -36,15 +35,13 @@ fn main() -> ExitCode {
             config.inference.model.as_deref(),
             config.inference.rest_move_model.as_deref(),
         )?;
-        recogniser.check_fit(&WindowSource {
-            name: "the session",
-            channels: config.acquisition.channels,
-            sample_rate_hz: config.acquisition.sample_rate_hz,
-            window_samples: config.dsp.windows.window_samples,
-            sequence_windows: 1,
-            filter: Some(&config.dsp.filter),
-            input: WindowInput::Raw,
-        })?;
+        let acquisition = &config.acquisition;
+        recogniser.check_fit(&WindowSource::of_chain(
+            "the session",
+            acquisition.channels,
+            acquisition.sample_rate_hz,
+            &config.dsp,
+        ))?;
         let silence = vec![0.0; config.window_length()];
         let mut shortest_run_ns = u64::MAX;
         for _ in 0..WARM_UP_RUNS {

@@ -32,7 +32,7 @@ use tendon_signal::FilterSettings;
 
 use crate::evaluate::{Scores, score_dataset, write_figures};
 use crate::run::write_json;
-use crate::strategies::{Models, dataset_settings, score_strategy, with_strategy};
+use crate::strategies::{Models, dataset_settings, score_strategy, with_strategy, with_trials};
 use crate::{Failure, dataset};
 use paper::Paper;
 use plan::{DATASETS, DatasetPlan, Training};
@@ -342,20 +342,22 @@ fn run_strategies(
     let found = list(&settings, std::slice::from_ref(&source.recordings)).map_err(Failure::input)?;
     let recordings: Vec<Recording> =
         found.recordings.into_iter().filter(|recording| test_people.contains(&recording.person)).collect();
+    let first = recordings.first().cloned();
+    let (usable, skipped) = with_trials(&settings, recordings);
+    results.missing.extend(skipped);
     for strategy in Strategy::ALL {
         let config = with_strategy(&config, strategy);
         let mut recogniser = models.load(library, strategy, &config).map_err(Failure::running)?;
-        let (scores, skipped) = score_strategy(&config, &mut recogniser, &recordings, &source.channels)
-            .map_err(Failure::running)?;
+        let scores =
+            score_strategy(&config, &mut recogniser, &settings, &usable).map_err(Failure::running)?;
         println!("strategy {}: {:.1} % of the windows", strategy.name(), scores.mean_correct_percent);
         results.strategies.insert(strategy.name(), scores);
-        results.missing.extend(skipped);
     }
     if options.no_live {
         results.missing.push("live sessions were left out by --no-live".to_owned());
         return Ok(());
     }
-    let Some(recording) = recordings.first().filter(|_| source.can_be_replayed) else {
+    let Some(recording) = first.filter(|_| source.can_be_replayed) else {
         results.missing.push(format!("`tendon run` cannot replay recordings of {}", source.name));
         return Ok(());
     };

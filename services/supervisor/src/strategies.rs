@@ -19,7 +19,7 @@ use tendon_evaluation::{CuePart, Step, StrategyScores, StrategyTally};
 use tendon_gesture::{Decider, Evidence, Strategy};
 use tendon_recordings::dataset::{DatasetSettings, Recording, RecordingEntry, cut, list};
 use tendon_recordings::{Channel, ReplayStream};
-use tendon_signal::{Activity, SignalChain, WindowInput};
+use tendon_signal::{Activity, SignalChain};
 
 use crate::Failure;
 use crate::run::{StrategyOption, write_json};
@@ -88,15 +88,13 @@ impl Models {
             Strategy::Direct => &self.six_class,
         };
         let recogniser = Recogniser::load(library, strategy, model.as_deref(), self.rest_move.as_deref())?;
-        recogniser.check_fit(&WindowSource {
-            name: "the configuration",
-            channels: config.acquisition.channels,
-            sample_rate_hz: config.acquisition.sample_rate_hz,
-            window_samples: config.dsp.windows.window_samples,
-            sequence_windows: 1,
-            filter: Some(&config.dsp.filter),
-            input: WindowInput::Raw,
-        })?;
+        let acquisition = &config.acquisition;
+        recogniser.check_fit(&WindowSource::of_chain(
+            "the configuration",
+            acquisition.channels,
+            acquisition.sample_rate_hz,
+            &config.dsp,
+        ))?;
         Ok(recogniser)
     }
 }
@@ -140,21 +138,19 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         skipped: found.skipped.iter().map(ToString::to_string).collect(),
         strategies: BTreeMap::new(),
     };
+    let (recordings, skipped) = with_trials(&settings, recordings);
+    if recordings.is_empty() {
+        let reason = skipped.first().map_or("there is none", String::as_str);
+        return Err(Failure::input(anyhow!("no recording could be used: {reason}")));
+    }
+    all.skipped.extend(skipped);
     for (strategy, mut recogniser) in recognisers {
         let config = with_strategy(&config, strategy);
-        let (scores, skipped) = score_strategy(&config, &mut recogniser, &recordings, &options.channels)
-            .map_err(Failure::running)?;
-        if scores.repetitions == 0 {
-            let reason = skipped.first().map_or("there is none", String::as_str);
-            return Err(Failure::input(anyhow!("no recording could be used: {reason}")));
-        }
+        let scores =
+            score_strategy(&config, &mut recogniser, &settings, &recordings).map_err(Failure::running)?;
         println!("strategy {}\n{scores}", strategy.name());
         all.strategies.insert(strategy.name(), scores);
-        // The same recordings are read every time.
-        all.skipped.extend(skipped);
     }
-    all.skipped.sort();
-    all.skipped.dedup();
     if !all.skipped.is_empty() {
         println!("left out:");
         all.skipped.iter().for_each(|skipped| println!("  {skipped}"));
@@ -195,7 +191,29 @@ pub fn with_strategy(config: &Config, strategy: Strategy) -> Config {
     config
 }
 
-/// Scores the strategy of `config` on `recordings`; beside the scores, what was left out of them and why.
+/// A recording that can be read to its end, and where the movements in it begin.
+pub struct WithTrials {
+    recording: Recording,
+    /// At least one.
+    trials: Vec<RecordingEntry>,
+}
+
+/// Reads all `recordings` once; beside those that can be used, which cannot and why.
+pub fn with_trials(settings: &DatasetSettings, recordings: Vec<Recording>) -> (Vec<WithTrials>, Vec<String>) {
+    let (mut usable, mut skipped) = (Vec::new(), Vec::new());
+    for recording in recordings {
+        match cut(settings, &recording, &mut |_| {}) {
+            Ok(cut) if cut.trials.is_empty() => {
+                skipped.push(format!("{}: holds none of the six gestures", recording.path.display()));
+            }
+            Ok(cut) => usable.push(WithTrials { recording, trials: cut.trials }),
+            Err(error) => skipped.push(error.to_string()),
+        }
+    }
+    (usable, skipped)
+}
+
+/// Scores the strategy of `config` on `recordings`.
 ///
 /// # Errors
 ///
@@ -203,37 +221,23 @@ pub fn with_strategy(config: &Config, strategy: Strategy) -> Config {
 pub fn score_strategy(
     config: &Config,
     recogniser: &mut Recogniser,
-    recordings: &[Recording],
-    channels: &[usize],
-) -> anyhow::Result<(StrategyScores, Vec<String>)> {
-    let settings = dataset_settings(config, channels);
+    settings: &DatasetSettings,
+    recordings: &[WithTrials],
+) -> anyhow::Result<StrategyScores> {
     let mut tally = StrategyTally::new(settings.sample_rate_hz);
-    let mut skipped = Vec::new();
     let mut next_progress = Instant::now() + PROGRESS_INTERVAL;
-    for (index, recording) in recordings.iter().enumerate() {
+    for (index, WithTrials { recording, trials }) in recordings.iter().enumerate() {
         if Instant::now() >= next_progress {
             next_progress += PROGRESS_INTERVAL;
             show_progress(config.decision.strategy, index, recordings.len());
         }
-        // Where movements begin, and that the whole recording can be read.
-        let trials = match cut(&settings, recording, &mut |_| {}) {
-            Ok(cut) => cut.trials,
-            Err(error) => {
-                skipped.push(error.to_string());
-                continue;
-            }
-        };
-        let Some(first) = trials.first() else {
-            skipped.push(format!("{}: holds none of the six gestures", recording.path.display()));
-            continue;
-        };
-        let (person, session, repetition) = (first.person, first.session.clone(), first.repetition);
-        let stream = recording.stream(&settings, config.acquisition.block_samples)?;
+        let stream = recording.stream(settings, config.acquisition.block_samples)?;
         let (cues, steps) =
-            run(config, recogniser, stream, &trials).with_context(|| recording.path.display().to_string())?;
-        tally.add(person, &session, repetition, &cues, &steps);
+            run(config, recogniser, stream, trials).with_context(|| recording.path.display().to_string())?;
+        let RecordingEntry { person, session, repetition, .. } = &trials[0];
+        tally.add(*person, session, *repetition, &cues, &steps);
     }
-    Ok((tally.scores(), skipped))
+    Ok(tally.scores())
 }
 
 /// Runs a recording through the whole chain.

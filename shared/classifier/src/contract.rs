@@ -3,7 +3,7 @@
 use std::fmt;
 
 use tendon_gesture::Class;
-use tendon_signal::{FilterSettings, WindowInput};
+use tendon_signal::{FilterSettings, SignalSettings, WindowInput};
 
 /// Version of the metadata's layout that this program reads.
 const CONTRACT_VERSION: &str = "1";
@@ -50,6 +50,26 @@ pub struct WindowSource<'a> {
     pub filter: Option<&'a FilterSettings>,
     /// What a window holds.
     pub input: WindowInput,
+}
+
+impl<'a> WindowSource<'a> {
+    /// What a signal chain with these settings delivers: single windows of the filtered signal.
+    pub fn of_chain(
+        name: &'static str,
+        channels: usize,
+        sample_rate_hz: f64,
+        settings: &'a SignalSettings,
+    ) -> WindowSource<'a> {
+        WindowSource {
+            name,
+            channels,
+            sample_rate_hz,
+            window_samples: settings.windows.window_samples,
+            sequence_windows: 1,
+            filter: Some(&settings.filter),
+            input: WindowInput::Raw,
+        }
+    }
 }
 
 /// Something in which a model and what delivers its windows differ.
