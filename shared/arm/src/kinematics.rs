@@ -83,6 +83,11 @@ impl XArm7 {
     /// joint velocities (rad/s). Column j is `[z_j × (p − p_j); z_j]` with the axis direction `z_j`, a point
     /// on it `p_j` and the flange position `p` (Siciliano et al., Robotics, 2009, eq. 3.30).
     pub fn jacobian(&self, joints_rad: &JointVector) -> Jacobian {
+        self.jacobian_and_position_m(joints_rad).0
+    }
+
+    /// [`XArm7::jacobian`], and the position of the flange in the base frame in metres, at the cost of one.
+    pub fn jacobian_and_position_m(&self, joints_rad: &JointVector) -> (Jacobian, Vector3<f64>) {
         let (axes, flange) = self.chain(joints_rad);
         let tip = flange.translation.vector;
         let mut jacobian = Jacobian::zeros();
@@ -90,37 +95,7 @@ impl XArm7 {
             column.fixed_rows_mut::<3>(0).copy_from(&axis.direction.cross(&(tip - axis.origin_m)));
             column.fixed_rows_mut::<3>(3).copy_from(&axis.direction);
         }
-        jacobian
-    }
-
-    /// How fast the Jacobian changes (its entries per second) while the joints move at these velocities
-    /// in rad/s: the time derivative of the columns of [`XArm7::jacobian`].
-    pub fn jacobian_rate(&self, joints_rad: &JointVector, velocities_rad_per_s: &JointVector) -> Jacobian {
-        let (axes, flange) = self.chain(joints_rad);
-        let tip = flange.translation.vector;
-        // Walk outward: `angular` and `linear` are the velocities of the link that carries the axis.
-        let mut angular = Vector3::zeros();
-        let mut linear = Vector3::zeros();
-        let mut previous = axes[0].origin_m;
-        let mut origin_rates = [Vector3::zeros(); 7];
-        let mut direction_rates = [Vector3::zeros(); 7];
-        for (joint, axis) in axes.iter().enumerate() {
-            linear += angular.cross(&(axis.origin_m - previous));
-            origin_rates[joint] = linear;
-            direction_rates[joint] = angular.cross(&axis.direction);
-            angular += axis.direction * velocities_rad_per_s[joint];
-            previous = axis.origin_m;
-        }
-        let tip_rate = linear + angular.cross(&(tip - previous));
-        let mut rate = Jacobian::zeros();
-        for (joint, mut column) in rate.column_iter_mut().enumerate() {
-            let Axis { origin_m, direction } = axes[joint];
-            let linear = direction_rates[joint].cross(&(tip - origin_m))
-                + direction.cross(&(tip_rate - origin_rates[joint]));
-            column.fixed_rows_mut::<3>(0).copy_from(&linear);
-            column.fixed_rows_mut::<3>(3).copy_from(&direction_rates[joint]);
-        }
-        rate
+        (jacobian, tip)
     }
 
     /// The joint axes in the base frame, and the flange pose at the end of the chain.
@@ -140,12 +115,6 @@ impl Default for XArm7 {
     fn default() -> XArm7 {
         XArm7::new()
     }
-}
-
-/// Whether every joint angle (rad) is finite and within its limits.
-#[cfg(test)]
-pub(crate) fn within_limits(joints_rad: &JointVector) -> bool {
-    (0..7).all(|joint| (LOWER_LIMITS_RAD[joint]..=UPPER_LIMITS_RAD[joint]).contains(&joints_rad[joint]))
 }
 
 /// Any posture within the joint limits, for property tests.
@@ -223,20 +192,6 @@ mod tests {
                 prop_assert!((column.fixed_rows::<3>(0) - linear).amax() < 1e-8);
                 prop_assert!((column.fixed_rows::<3>(3) - angular).amax() < 1e-8);
             }
-        }
-
-        #[test]
-        fn jacobian_rate_agrees_with_finite_differences(
-            joints in any_posture(),
-            velocities in prop::array::uniform7(-3.0..3.0_f64),
-        ) {
-            let arm = XArm7::new();
-            let velocities = JointVector::from(velocities);
-            let step_s = 1e-6;
-            let ahead = arm.jacobian(&(joints + velocities * step_s));
-            let behind = arm.jacobian(&(joints - velocities * step_s));
-            let rate = arm.jacobian_rate(&joints, &velocities);
-            prop_assert!((rate - (ahead - behind) / (2.0 * step_s)).amax() < 1e-6);
         }
     }
 }

@@ -1,29 +1,38 @@
 //! The xArm7: kinematics, joint velocities within its limits, and a simulated arm.
 //!
 //! ```text
-//!              commanded twist                     velocity                        joint velocities
-//! command ────────────────────▶ ramp (`ramp`) ───────────────▶ solve (`velocity`) ──────────────────▶ integrate
-//!                               speed limit, acceleration,     Jacobian (`kinematics`),               at 250 Hz
-//!                               watchdog, halt                 joint limits, singularities            (`simulation`)
+//!           twist                                velocity                    joint velocities
+//! command ────────▶ motion (`Motion`) ────────────────────▶ solve (`velocity`) ──────────────▶ integrate
+//!                   ramp: speed, acceleration, jerk,  │     joint limits                      at 250 Hz
+//!                   watchdog, stop                    │                                       (`SimulatedArm`)
+//!                   limits: workspace, joints,        └───▶ or to a real arm ──▶ its reports ──▶ `Guard`
+//!                   singularities
 //! ```
 //!
 //! Everything is pure: time is given from outside as nanoseconds, nothing allocates once constructed. The
-//! ramp, the settings and the limits know nothing of the simulation, so that another arm can stand in
+//! motion, the settings and the guard know nothing of the simulation, so that another arm can stand in
 //! its place.
 //!
 //! Lengths are millimetres where people and commands meet the crate ([`Twist`], [`ArmState`],
 //! [`ArmSettings`]) and metres inside ([`kinematics`], [`velocity`]), which every name says.
 #![forbid(unsafe_code)]
 
+mod guard;
 pub mod kinematics;
+mod limits;
+mod motion;
 mod ramp;
 mod settings;
 mod simulation;
 mod twist;
 pub mod velocity;
 
+pub use guard::{Guard, LimitViolation};
 pub use kinematics::{JointVector, XArm7};
-pub use ramp::{ANGULAR_ACCELERATION_RAD_PER_S2, ANGULAR_SPEED_LIMIT_RAD_PER_S, TwistRamp};
+pub use motion::Motion;
+pub use ramp::{
+    ANGULAR_ACCELERATION_RAD_PER_S2, ANGULAR_SPEED_LIMIT_RAD_PER_S, MotionBounds, STEP_NS, STOP_NS,
+};
 pub use settings::{ArmSettings, ArmSettingsError};
-pub use simulation::{ArmState, GripperCommand, STEP_NS, SimulatedArm};
+pub use simulation::{ArmState, GripperCommand, SimulatedArm};
 pub use twist::{NonFiniteTwist, Twist};

@@ -70,6 +70,20 @@ impl Twist {
         let [roll, pitch, yaw] = self.angular_rad_per_s;
         Vector6::new(x, y, z, roll, pitch, yaw)
     }
+
+    /// Linear velocity in mm/s above angular velocity in rad/s.
+    pub(crate) fn to_vector_mm(self) -> Vector6<f64> {
+        let ([x, y, z], [roll, pitch, yaw]) = (self.linear_mm_per_s, self.angular_rad_per_s);
+        Vector6::new(x, y, z, roll, pitch, yaw)
+    }
+
+    /// The twist of a vector that has linear velocity in mm/s above angular velocity in rad/s.
+    pub(crate) fn from_vector_mm(vector: &Vector6<f64>) -> Twist {
+        Twist {
+            linear_mm_per_s: [vector[0], vector[1], vector[2]],
+            angular_rad_per_s: [vector[3], vector[4], vector[5]],
+        }
+    }
 }
 
 #[cfg(test)]

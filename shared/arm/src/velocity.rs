@@ -1,41 +1,50 @@
-//! From a twist to joint velocities, within the limits of the joints and away from singularities.
+//! From a twist to joint velocities, within the limits of the joints and calm near singularities.
 //!
 //! ```text
 //! joint velocities = a · (damped inverse of the Jacobian) · twist  +  b · joint centring
 //! ```
 //!
-//! - **Damped inverse.** With the singular value decomposition J = Σ σᵢ uᵢ vᵢᵀ, damped least squares gives
-//!   Σ σᵢ / (σᵢ² + λᵢ²) vᵢ uᵢᵀ. The damping λᵢ² = max(0, σ₀² − σᵢ²) is zero in a well-conditioned direction and
-//!   grows as a singular value sinks below σ₀ = [`SMALLEST_SINGULAR_VALUE`] (Nakamura and Hanafusa, 1986,
-//!   who measure the nearness by manipulability; by singular value: Maciejewski and Klein, 1988). Then
-//!   σᵢ / (σᵢ² + λᵢ²) = σᵢ / max(σᵢ, σ₀)².
+//! - **Damped inverse.** Damped least squares gives Jᵀ (J Jᵀ + λ² I)⁻¹. How near a singularity is, is measured by
+//!   [`singularity_distance`]. From σ₀ = [`SMALLEST_SINGULAR_VALUE`] on, the damping is zero and the inverse the
+//!   pseudo-inverse; nearer it grows by λ² = σ₀² − distance² (Nakamura and Hanafusa, 1986, who measure the
+//!   nearness by manipulability).
 //! - **Joint centring.** The seventh degree of freedom draws the joints to the middle of their ranges within
 //!   the null space of J, which leaves the flange alone (Liégeois, 1977). It is in proportion to the joint
-//!   speed that the twist asks for: an arm that stands still stands still altogether.
-//! - **Limits.** `a` and `b`, both in 0..=1, are the greatest that keep the joint speed limits, and keep the speed
-//!   towards a joint limit or towards a singularity below [`APPROACH_RATE_PER_S`] times the distance
-//!   left (a velocity damper: Faverjon and Tournassoud, 1987). Slowing as a whole keeps the direction. At an
-//!   edge of the workspace the arm comes softly to rest, and every twist that leads back is free.
+//!   speed that the twist asks for, so that the way of the joints depends on the way of the flange and not on its
+//!   speed. It fades out towards singularities and before it would press a joint to its limit: there a twist
+//!   and its opposite lead along the same way.
+//! - **Last resort.** `a` and `b`, both in 0..=1, are the greatest that keep the joint speed limits, and keep the speed
+//!   towards a joint limit below [`APPROACH_RATE_PER_S`] times the distance left (a velocity damper: Faverjon
+//!   and Tournassoud, 1987). [`crate::Motion`] asks for no twist that needs it, but for postures beyond the limits.
 //!
-//! The singular values mix metres and radians; metres and radians suit an arm of this reach (0.7 m).
+//! The Jacobian mixes metres and radians; metres and radians suit an arm of this reach (0.7 m).
 
-use nalgebra::{SVD, SVector, Vector6};
+use nalgebra::{Cholesky, Matrix6, Vector3, Vector6};
 
 use crate::Twist;
 use crate::kinematics::{
-    JOINT_SPEED_LIMIT_RAD_PER_S, JointVector, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD, XArm7,
+    JOINT_SPEED_LIMIT_RAD_PER_S, Jacobian, JointVector, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD, XArm7,
 };
 
-/// Singular values of the Jacobian below this count as singular: damping sets in, and motion that would
-/// lower them further is stopped. At 100 mm/s it keeps joints below 2.5 rad/s, within their speed limit.
+/// Singular values of the Jacobian below this count as singular: damping sets in.
 pub const SMALLEST_SINGULAR_VALUE: f64 = 0.04;
 
-/// The speed towards a limit is at most this times the distance left to it. An integration step must be
-/// shorter than its inverse, 0.2 s.
-pub const APPROACH_RATE_PER_S: f64 = 5.0;
+/// The speed of a joint towards a limit is at most this times the distance left to it. An integration step must
+/// be shorter than its inverse, 10 ms.
+pub const APPROACH_RATE_PER_S: f64 = 100.0;
 
 /// Centring joint speed over task joint speed, for joints half a range off centre.
 const CENTRING_SHARE: f64 = 0.5;
+
+/// Motion ends this far before a joint limit, in rad.
+pub(crate) const JOINT_MARGIN_RAD: f64 = 0.02;
+
+/// Centring is absent up to the first singularity distance, and whole from the second on.
+const CENTRING_FADES: [f64; 2] = [0.05, 0.1];
+
+/// At this distance to a limit, in rad, centring presses a joint towards the limit no faster than the task moves all
+/// joints together; nearer in proportion.
+const CENTRING_ROOM_RAD: f64 = 0.2;
 
 /// Joint velocities that follow a twist as far as the limits allow.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,64 +55,90 @@ pub struct JointVelocities {
     pub scale: f64,
 }
 
-/// Rates (rad/s or 1/s) towards a limit below this are rounding errors and not held against it.
+/// Rates (rad/s) towards a limit below this are rounding errors and not held against it.
 const NEGLIGIBLE_RATE: f64 = 1e-9;
-
-/// What is limited: the seven joint velocities, then the rates of the six singular values.
-type Rates = SVector<f64, 13>;
 
 /// Joint velocities for a finite twist of the flange, in a posture within the joint limits (rad).
 ///
-/// Where all singular values are at least [`SMALLEST_SINGULAR_VALUE`], the flange moves at exactly
+/// Where [`singularity_distance`] is at least [`SMALLEST_SINGULAR_VALUE`], the flange moves at exactly
 /// `scale · twist`.
 pub fn joint_velocities(arm: &XArm7, joints_rad: &JointVector, twist: &Twist) -> JointVelocities {
-    let standstill = JointVelocities { rad_per_s: JointVector::zeros(), scale: 0.0 };
-    let Some((singular_values, left, right)) = decompose(arm, joints_rad) else {
-        return standstill;
+    let Some(posture) = Posture::new(arm, joints_rad) else {
+        return JointVelocities { rad_per_s: JointVector::zeros(), scale: 0.0 };
     };
-    let gains = singular_values.map(damped_inverse);
-    let task = right.tr_mul(&gains.component_mul(&left.tr_mul(&twist.to_vector_m())));
-    let pull = offset_from_centre(joints_rad) * (-CENTRING_SHARE * task.norm());
-    let centring = pull - right.tr_mul(&(right * pull));
-
-    let rates_of = |velocities: &JointVector| -> Rates {
-        let jacobian_rate = arm.jacobian_rate(joints_rad, velocities);
-        let mut rates = Rates::zeros();
-        rates.fixed_rows_mut::<7>(0).copy_from(velocities);
-        for value in 0..6 {
-            // Derivative of a singular value: uᵀ (dJ/dt) v.
-            rates[7 + value] = left.column(value).dot(&(jacobian_rate * right.row(value).transpose()));
-        }
-        rates
-    };
-    let (lowest, highest) = allowed_rates(joints_rad, &singular_values);
-    let task_rates = rates_of(&task);
-    let scale = greatest_share(&Rates::zeros(), &task_rates, &lowest, &highest);
-    let centring_share = greatest_share(&(task_rates * scale), &rates_of(&centring), &lowest, &highest);
+    let task = posture.task(&twist.to_vector_m());
+    let (lowest, highest) = allowed_rates(joints_rad);
+    let scale = greatest_share(&JointVector::zeros(), &task, &lowest, &highest);
     // The centring follows the motion it accompanies: no motion, no centring.
-    JointVelocities { rad_per_s: task * scale + centring * (centring_share * scale), scale }
+    let task = task * scale;
+    let centring = posture.centring(&task);
+    let centring_share = greatest_share(&task, &centring, &lowest, &highest);
+    JointVelocities { rad_per_s: task + centring * centring_share, scale }
 }
 
 /// The smallest singular value of the Jacobian in this posture (rad): 0 in a singularity.
 pub fn smallest_singular_value(arm: &XArm7, joints_rad: &JointVector) -> f64 {
-    decompose(arm, joints_rad).map_or(0.0, |(singular_values, _, _)| singular_values.min())
+    arm.jacobian(joints_rad).singular_values().min()
 }
 
-/// Singular values of the Jacobian, its left singular vectors as columns and its right ones as rows.
-/// `None` should the iteration not converge.
-fn decompose(
-    arm: &XArm7,
-    joints_rad: &JointVector,
-) -> Option<(Vector6<f64>, nalgebra::Matrix6<f64>, nalgebra::SMatrix<f64, 6, 7>)> {
-    const MOST_ITERATIONS: usize = 1000;
-    let svd =
-        SVD::try_new_unordered(arm.jacobian(joints_rad), true, true, 5.0 * f64::EPSILON, MOST_ITERATIONS)?;
-    Some((svd.singular_values, svd.u?, svd.v_t?))
+/// How far a posture (rad) is from a singularity: 1/‖J⁺‖ in the Frobenius norm, that is (Σ σᵢ⁻²)^−½. It is at
+/// most the smallest singular value, close to it near a singularity, 0 in one, and unlike it smooth everywhere.
+pub fn singularity_distance(arm: &XArm7, joints_rad: &JointVector) -> f64 {
+    Posture::new(arm, joints_rad).map_or(0.0, |posture| posture.singularity_distance)
 }
 
-/// σ / (σ² + λ²) with the damping of the module's text: the inverse of a singular value, finite everywhere.
-fn damped_inverse(singular_value: f64) -> f64 {
-    singular_value / singular_value.max(SMALLEST_SINGULAR_VALUE).powi(2)
+/// What a posture does to velocities.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Posture {
+    joints_rad: JointVector,
+    jacobian: Jacobian,
+    /// (J Jᵀ + λ² I)⁻¹.
+    inverse: Matrix6<f64>,
+    /// Position of the flange in m.
+    pub position_m: Vector3<f64>,
+    /// See [`singularity_distance`].
+    pub singularity_distance: f64,
+}
+
+impl Posture {
+    /// `None` if an angle (rad) is not finite.
+    pub fn new(arm: &XArm7, joints_rad: &JointVector) -> Option<Posture> {
+        let (jacobian, position_m) = arm.jacobian_and_position_m(joints_rad);
+        let gram = jacobian * jacobian.transpose();
+        let mut singularity_distance = 0.0;
+        // In a singularity there is no factor, or one of rounding errors, whose distance is next to zero.
+        let mut inverse = Matrix6::zeros();
+        if let Some(factor) = Cholesky::new(gram) {
+            inverse = factor.inverse();
+            singularity_distance = inverse.trace().powf(-0.5);
+        }
+        let damping = SMALLEST_SINGULAR_VALUE.powi(2) - singularity_distance.powi(2);
+        if damping > 0.0 || damping.is_nan() {
+            inverse = Cholesky::new(gram + Matrix6::identity() * damping)?.inverse();
+        }
+        Some(Posture { joints_rad: *joints_rad, jacobian, inverse, position_m, singularity_distance })
+    }
+
+    /// Joint velocities (rad/s) that move the flange at this velocity (m/s above rad/s), or small
+    /// displacements likewise.
+    pub fn task(&self, velocity: &Vector6<f64>) -> JointVector {
+        self.jacobian.tr_mul(&(self.inverse * velocity))
+    }
+
+    /// The centring that accompanies joint velocities or displacements of the task.
+    pub fn centring(&self, task: &JointVector) -> JointVector {
+        let [absent, whole] = CENTRING_FADES;
+        let clearance = ((self.singularity_distance - absent) / (whole - absent)).clamp(0.0, 1.0);
+        let speed = task.norm();
+        let pull = offset_from_centre(&self.joints_rad) * (-CENTRING_SHARE * clearance * speed);
+        let centring = pull - self.task(&(self.jacobian * pull));
+        let below =
+            (self.joints_rad - LOWER_LIMITS_RAD).add_scalar(-JOINT_MARGIN_RAD) * speed / CENTRING_ROOM_RAD;
+        let above =
+            (UPPER_LIMITS_RAD - self.joints_rad).add_scalar(-JOINT_MARGIN_RAD) * speed / CENTRING_ROOM_RAD;
+        let zero = JointVector::zeros();
+        centring * greatest_share(&zero, &centring, &-below.sup(&zero), &above.sup(&zero))
+    }
 }
 
 /// Where each joint is in its range: −1 at the lower limit, 0 in the middle, 1 at the upper limit.
@@ -113,26 +148,23 @@ fn offset_from_centre(joints_rad: &JointVector) -> JointVector {
     (joints_rad - centre).component_div(&half_range)
 }
 
-/// The lowest (never positive) and highest (never negative) allowed rates.
-fn allowed_rates(joints_rad: &JointVector, singular_values: &Vector6<f64>) -> (Rates, Rates) {
-    let approach = |distance: f64| APPROACH_RATE_PER_S * distance.max(0.0);
-    let mut lowest = Rates::zeros();
-    let mut highest = Rates::repeat(f64::INFINITY);
-    for joint in 0..7 {
-        let below = joints_rad[joint] - LOWER_LIMITS_RAD[joint];
-        let above = UPPER_LIMITS_RAD[joint] - joints_rad[joint];
-        lowest[joint] = -approach(below).min(JOINT_SPEED_LIMIT_RAD_PER_S);
-        highest[joint] = approach(above).min(JOINT_SPEED_LIMIT_RAD_PER_S);
-    }
-    for value in 0..6 {
-        lowest[7 + value] = -approach(singular_values[value] - SMALLEST_SINGULAR_VALUE);
-    }
-    (lowest, highest)
+/// The lowest (never positive) and highest (never negative) allowed joint velocities in rad/s.
+fn allowed_rates(joints_rad: &JointVector) -> (JointVector, JointVector) {
+    let approach = |distance: f64| (APPROACH_RATE_PER_S * distance).clamp(0.0, JOINT_SPEED_LIMIT_RAD_PER_S);
+    (
+        (LOWER_LIMITS_RAD - joints_rad).map(|below| -approach(-below)),
+        (UPPER_LIMITS_RAD - joints_rad).map(approach),
+    )
 }
 
 /// The greatest share in 0..=1 for which `base + share · step` stays between `lowest` and `highest`, given
 /// that `base` does.
-fn greatest_share(base: &Rates, step: &Rates, lowest: &Rates, highest: &Rates) -> f64 {
+fn greatest_share(
+    base: &JointVector,
+    step: &JointVector,
+    lowest: &JointVector,
+    highest: &JointVector,
+) -> f64 {
     let mut share: f64 = 1.0;
     for index in 0..step.len() {
         let room = match step[index] {
@@ -158,12 +190,18 @@ mod tests {
     }
 
     #[test]
-    fn damping_grows_towards_a_singularity_and_is_absent_far_from_it() {
-        let inverse_at =
-            |share: f64| damped_inverse(share * SMALLEST_SINGULAR_VALUE) * SMALLEST_SINGULAR_VALUE;
-        for (share, expected) in [(0.0, 0.0), (0.25, 0.25), (0.5, 0.5), (1.0, 1.0), (2.0, 0.5), (4.0, 0.25)] {
-            assert!((inverse_at(share) - expected).abs() < 1e-12);
+    fn the_singularity_distance_is_below_the_smallest_singular_value_and_near_it_near_a_singularity() {
+        let arm = XArm7::new();
+        for bend in [0.0, 0.001, 0.01, 0.05, 0.1, 0.3, 0.6] {
+            let joints = JointVector::from([0.3, bend, 0.4, bend, 0.5, bend, 0.6]);
+            let (distance, smallest) =
+                (singularity_distance(&arm, &joints), smallest_singular_value(&arm, &joints));
+            // Squaring the Jacobian leaves half of the digits.
+            assert!(distance <= smallest + 1e-7, "{distance} {smallest}");
+            assert!(distance >= smallest / 6.0_f64.sqrt() - 1e-7, "{distance} {smallest}");
         }
+        assert!(singularity_distance(&arm, &JointVector::zeros()) < 1e-7);
+        assert_eq!(singularity_distance(&arm, &JointVector::repeat(f64::NAN)), 0.0);
     }
 
     #[test]
@@ -184,8 +222,8 @@ mod tests {
         let joints = JointVector::from([1.0, 0.4, -1.2, 1.5, 0.9, 1.1, -0.6]);
         let twist = Twist { linear_mm_per_s: [0.0, 50.0, 0.0], ..Twist::ZERO };
         let solution = joint_velocities(&arm, &joints, &twist);
-        let (_, _, right) = decompose(&arm, &joints).unwrap();
-        let self_motion = solution.rad_per_s - right.tr_mul(&(right * solution.rad_per_s));
+        let pseudo_inverse = arm.jacobian(&joints).pseudo_inverse(1e-9).unwrap();
+        let self_motion = solution.rad_per_s - pseudo_inverse * (arm.jacobian(&joints) * solution.rad_per_s);
         assert!(self_motion.norm() > 1e-3);
         assert!(self_motion.dot(&offset_from_centre(&joints)) < 0.0);
     }
@@ -201,7 +239,7 @@ mod tests {
         #[test]
         fn the_flange_moves_along_the_twist(joints in any_posture(), twist in any_twist()) {
             let arm = XArm7::new();
-            prop_assume!(smallest_singular_value(&arm, &joints) >= SMALLEST_SINGULAR_VALUE);
+            prop_assume!(singularity_distance(&arm, &joints) >= SMALLEST_SINGULAR_VALUE);
             let solution = joint_velocities(&arm, &joints, &twist);
             let achieved = arm.jacobian(&joints) * solution.rad_per_s;
             let wanted = twist.to_vector_m() * solution.scale;

@@ -1,0 +1,173 @@
+//! Whether the arm, braked from where it is, comes to rest within its limits.
+//!
+//! A state from which the arm can still brake in time is called viable (Aubin, Viability Theory, 1991). Motion goes
+//! from viable state to viable state: it takes a step only if the run-down after it keeps the limits. Then
+//! braking always does, and the edges of the workspace are approached at the ordinary deceleration.
+//!
+//! The limits are the workspace box, the joint limits, the joint speed limit and the distance to singularities, each a
+//! margin inside the hard limit. The box is checked at every step of the run-down. Joints are predicted in a
+//! few pieces by the law of [`crate::velocity`] and the midpoint rule, which the margins cover.
+//!
+//! An arm that is beyond a margin may go no further, and one that is beyond a hard limit must come nearer: so it
+//! can always be driven back.
+
+use nalgebra::{Vector3, Vector6};
+
+use crate::ArmSettings;
+use crate::kinematics::{
+    JOINT_SPEED_LIMIT_RAD_PER_S, JointVector, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD, XArm7,
+};
+use crate::ramp::{STEP_S, part};
+use crate::velocity::{JOINT_MARGIN_RAD, Posture, SMALLEST_SINGULAR_VALUE};
+
+/// Motion ends this far before a face of the workspace box, in mm.
+const BOX_MARGIN_MM: f64 = 0.5;
+
+/// Motion ends at this singularity distance.
+const SINGULARITY_MARGIN: f64 = 0.005;
+
+/// A joint predicted to be faster than this, in rad/s, is too fast.
+const JOINT_SPEED_MARGIN_RAD_PER_S: f64 = 0.9 * JOINT_SPEED_LIMIT_RAD_PER_S;
+
+/// Joints are predicted in pieces of the way no longer than this, in m and rad.
+const PIECE_M_RAD: f64 = 0.01;
+
+/// Singularity distances that differ by less than this share differ by rounding errors.
+const ROUNDING: f64 = 1e-9;
+
+/// The limits of an arm.
+#[derive(Clone, Debug)]
+pub(crate) struct Limits {
+    arm: XArm7,
+    workspace_min_mm: Vector3<f64>,
+    workspace_max_mm: Vector3<f64>,
+}
+
+impl Limits {
+    pub fn new(settings: &ArmSettings) -> Limits {
+        Limits {
+            arm: XArm7::new(),
+            workspace_min_mm: settings.workspace_min_mm.into(),
+            workspace_max_mm: settings.workspace_max_mm.into(),
+        }
+    }
+
+    /// The limits as they apply in a posture (rad); `None` if an angle is not finite.
+    pub fn at(&self, joints_rad: &JointVector) -> Option<LimitsHere<'_>> {
+        let posture = Posture::new(&self.arm, joints_rad)?;
+        Some(LimitsHere { limits: self, joints_rad: *joints_rad, posture })
+    }
+}
+
+/// The limits as they apply in one posture.
+pub(crate) struct LimitsHere<'a> {
+    limits: &'a Limits,
+    joints_rad: JointVector,
+    posture: Posture,
+}
+
+impl LimitsHere<'_> {
+    /// Whether the arm may take these velocities (mm/s above rad/s), one a step, the last of them zero.
+    pub fn permit(&self, velocities: impl Iterator<Item = Vector6<f64>>) -> bool {
+        let position_mm = self.posture.position_m * 1e3;
+        let Limits { workspace_min_mm, workspace_max_mm, .. } = self.limits;
+        let lowest_mm = workspace_min_mm.add_scalar(BOX_MARGIN_MM).inf(&position_mm);
+        let highest_mm = workspace_max_mm.add_scalar(-BOX_MARGIN_MM).sup(&position_mm);
+
+        let (mut joints_rad, mut posture, mut end_mm) = (self.joints_rad, self.posture, position_mm);
+        let mut piece = Piece::default();
+        for velocity in velocities {
+            end_mm += part(&velocity, 0) * STEP_S;
+            if !(end_mm >= lowest_mm && end_mm <= highest_mm) {
+                return false;
+            }
+            let velocity = to_m(&velocity);
+            if piece.length >= PIECE_M_RAD || piece.way.dot(&velocity) < 0.0 {
+                let Some(end) = self.follow(&joints_rad, &posture, &piece) else {
+                    return false;
+                };
+                (joints_rad, posture) = end;
+                piece = Piece::default();
+            }
+            piece.add(&velocity);
+        }
+        let Some((joints_rad, posture)) = self.follow(&joints_rad, &posture, &piece) else {
+            return false;
+        };
+
+        let (singular, distance) = (SMALLEST_SINGULAR_VALUE, self.posture.singularity_distance);
+        leads_back(&position_mm, &end_mm, workspace_min_mm, workspace_max_mm)
+            && leads_back(&self.joints_rad, &joints_rad, &LOWER_LIMITS_RAD, &UPPER_LIMITS_RAD)
+            && (distance >= singular || posture.singularity_distance > distance)
+    }
+
+    /// The joint angles (rad) and the posture after a piece of the way; `None` if they or those on the way are beyond a
+    /// limit.
+    fn follow(
+        &self,
+        joints_rad: &JointVector,
+        posture: &Posture,
+        piece: &Piece,
+    ) -> Option<(JointVector, Posture)> {
+        let way = |posture: &Posture| -> Option<JointVector> {
+            let task = posture.task(&piece.way);
+            // The joints share the way of the flange, hence its speed.
+            let fastest_rad_per_s = task.amax() * piece.peak_speed / piece.way.norm().max(f64::MIN_POSITIVE);
+            (fastest_rad_per_s <= JOINT_SPEED_MARGIN_RAD_PER_S).then(|| task + posture.centring(&task))
+        };
+        let middle = self.within(joints_rad + way(posture)? * 0.5)?;
+        let end_rad = joints_rad + way(&middle)?;
+        Some((end_rad, self.within(end_rad)?))
+    }
+
+    /// The posture with these joint angles (rad), if it is within the limits or no further beyond than the present one.
+    fn within(&self, joints_rad: JointVector) -> Option<Posture> {
+        let lowest = LOWER_LIMITS_RAD.add_scalar(JOINT_MARGIN_RAD).inf(&self.joints_rad);
+        let highest = UPPER_LIMITS_RAD.add_scalar(-JOINT_MARGIN_RAD).sup(&self.joints_rad);
+        if !(joints_rad >= lowest && joints_rad <= highest) {
+            return None;
+        }
+        let nearest = (SMALLEST_SINGULAR_VALUE + SINGULARITY_MARGIN)
+            .min(self.posture.singularity_distance * (1.0 - ROUNDING));
+        Posture::new(&self.limits.arm, &joints_rad).filter(|posture| posture.singularity_distance >= nearest)
+    }
+}
+
+/// A piece of the way of the flange that is nearly straight.
+#[derive(Default)]
+struct Piece {
+    /// The displacement, in m above rad.
+    way: Vector6<f64>,
+    /// Its length, turns included.
+    length: f64,
+    /// The greatest speed on it.
+    peak_speed: f64,
+}
+
+impl Piece {
+    /// Adds a step at this velocity, in m/s above rad/s.
+    fn add(&mut self, velocity: &Vector6<f64>) {
+        let speed = velocity.norm();
+        self.way += velocity * STEP_S;
+        self.length += speed * STEP_S;
+        self.peak_speed = self.peak_speed.max(speed);
+    }
+}
+
+/// Whether each value that is beyond a limit now will be nearer to it at the end.
+fn leads_back<const N: usize>(
+    now: &nalgebra::SVector<f64, N>,
+    end: &nalgebra::SVector<f64, N>,
+    lowest: &nalgebra::SVector<f64, N>,
+    highest: &nalgebra::SVector<f64, N>,
+) -> bool {
+    (0..N).all(|index| {
+        let (now, end) = (now[index], end[index]);
+        (now >= lowest[index] || end > now) && (now <= highest[index] || end < now)
+    })
+}
+
+/// A velocity in mm/s above rad/s as one in m/s above rad/s.
+fn to_m(velocity: &Vector6<f64>) -> Vector6<f64> {
+    velocity.component_mul(&Vector6::new(1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0))
+}
