@@ -149,7 +149,7 @@ mod tests {
             let x_mm = 350.0 + 100.0 * (report as f64 * 0.01);
             assert_eq!(guard.check(report * 10 * MS, &joints, [x_mm, 0.0, 362.0]), Ok(()));
         }
-        assert_eq!(guard.check(1000 * MS, &joints, [450.0, 401.9, 362.0]).is_ok(), false);
+        assert!(guard.check(1000 * MS, &joints, [450.0, 401.9, 362.0]).is_err());
         guard.reset();
         assert_eq!(guard.check(1004 * MS, &joints, [450.0, 401.9, 362.0]), Ok(()));
     }

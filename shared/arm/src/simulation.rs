@@ -146,6 +146,11 @@ impl SimulatedArm {
         twist.scaled(middle.scale)
     }
 
+    /// What the arm is told to do.
+    pub fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
     /// Velocity of the flange in the last step.
     pub fn velocity(&self) -> Twist {
         self.velocity
