@@ -13,7 +13,7 @@ use tendon_config::{Config, Pace, Source};
 use tendon_gesture::Gesture;
 use tendon_messages::{
     Activity, BLOCKS, BlockHeader, COMMANDS, CommandHeader, MEASUREMENTS, Measurement, MeasurementHeader,
-    STATES, Stage, StateHeader, Trace, WINDOWS, WindowHeader,
+    STATES, Stage, StateHeader, StopReason, Trace, WINDOWS, WindowHeader,
 };
 use tendon_system_tests::recordings::{CHANNELS, MOVEMENT, PseudoEmg, REST};
 use tendon_system_tests::{
@@ -89,7 +89,7 @@ impl Observer {
             let trace = state.header().trace;
             let received_ns = trace.received_ns[Stage::Robot.index()];
             self.acted_late += u64::from(received_ns.saturating_sub(trace.captured_ns) > STALE_NS);
-            self.halted |= state.header().halted_by_watchdog != 0;
+            self.halted |= state.header().stop_reason == StopReason::NoCommands as u8;
         }
     }
 

@@ -128,6 +128,18 @@ impl TendonBuilder {
         self
     }
 
+    /// Gives it a terminal, as if it were started by a person there (setsid(1) makes it the controlling one).
+    pub fn controlled_by(mut self, terminal: std::os::fd::OwnedFd) -> TendonBuilder {
+        let mut command = Command::new("setsid");
+        command.arg("--ctty").arg(self.command.get_program()).args(self.command.get_args());
+        command.current_dir(self.folder.path()).stdin(terminal).stdout(Stdio::piped()).stderr(Stdio::piped());
+        for (name, value) in self.command.get_envs() {
+            command.env(name, value.unwrap_or_default());
+        }
+        self.command = command;
+        self
+    }
+
     /// Sets an environment variable.
     pub fn env(mut self, name: &str, value: impl AsRef<std::ffi::OsStr>) -> TendonBuilder {
         self.command.env(name, value);

@@ -106,7 +106,7 @@ impl Acquisition {
                 Wake::Stop => return Ok(false),
                 Wake::Order(Order::Start) => return Ok(true),
                 Wake::Order(Order::Gesture(gesture)) => self.source.set_gesture(gesture),
-                Wake::Message | Wake::Deadline => {}
+                Wake::Order(_) | Wake::Message | Wake::Deadline => {}
             }
         }
     }
@@ -124,7 +124,7 @@ impl Acquisition {
                 Wake::Stop => return Ok(false),
                 Wake::Deadline => return Ok(true),
                 Wake::Order(Order::Gesture(gesture)) => self.source.set_gesture(gesture),
-                Wake::Order(Order::Start) | Wake::Message => {}
+                Wake::Order(_) | Wake::Message => {}
             }
         }
     }

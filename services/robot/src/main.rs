@@ -1,53 +1,72 @@
-//! The robot process: commands in, motion and its state out. The arm itself is `tendon_arm::SimulatedArm`.
+//! The robot process: commands in, motion and its state out. Which arm moves is behind the seam in [`arm`].
 //!
 //! ```text
-//! command ─▶ fresh? ─▶ target twist ─┐
-//!                                    ├─▶ ramp, limits, joints ─▶ state
-//! 150 ms of silence ─▶ target zero ──┘   in steps of 4 ms        100 Hz, 50 Hz while still
+//! command ─▶ fresh? ─▶ permitted? ─▶ target twist ─┐
+//!                          ▲                       ├─▶ ramp, limits, joints ─▶ state
+//! 150 ms of silence, ──────┴──▶ rest, stop ────────┘   steps of 4 ms           250 Hz, 50 Hz while still
+//! stop orders, limits
 //! ```
 //!
 //! Live, the arm's time is the clock. In a lossless replay it is the time of the samples, so that the arm
 //! ends where it would have ended, however fast the replay goes.
+
+mod arm;
+mod permission;
+mod xarm;
 
 use std::os::fd::AsFd;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::Context;
-use tendon_arm::{GripperCommand as ArmGripper, SimulatedArm, Twist};
+use anyhow::{Context, bail};
+use tendon_arm::{GripperCommand as ArmGripper, Guard, JointVector, LimitViolation, SimulatedArm, Twist};
 use tendon_config::Backend;
 use tendon_messages::{
-    COMMANDS, CommandHeader, GripperCommand, STATE_LENGTH, STATES, Stage, StateHeader, TWIST_LENGTH, Trace,
+    COMMANDS, CommandHeader, GripperCommand, Permission, STATE_LENGTH, STATES, Stage, StateHeader,
+    StopReason, TWIST_LENGTH, Trace,
 };
-use tendon_process::{StageProcess, Wake};
+use tendon_process::{Order, STALE_NS, StageProcess, Wake};
 use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
 
-/// Time between two states in motion, ns: the rate of the vendor's real-time report, 100 Hz. The steps since the
-/// last one are made up for, so the motion is the same at any rate.
-const MOVING_PERIOD_NS: u64 = 10_000_000;
-/// Time between two states while nothing moves, ns. A command ends it.
+use crate::arm::{Arm, Stop};
+use crate::permission::Latch;
+use crate::xarm::XArm;
+
+/// Time between two ticks in motion, ns: 250 Hz, the rate of the vendor's controller.
+const MOVING_PERIOD_NS: u64 = tendon_arm::STEP_NS;
+/// Time between two ticks while nothing moves, ns. A command ends it.
 const STILL_PERIOD_NS: u64 = 20_000_000;
+/// After so long without a word from the supervisor it is taken to hang, ns: four of its heartbeats.
+const SUPERVISOR_SILENCE_NS: u64 = 120_000_000;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Robot, |process| {
         let config = &process.config;
         let delivery = config.delivery();
         // The one place that knows which arm moves.
-        let arm = match config.robot.backend {
-            Backend::Simulate => SimulatedArm::new(config.robot.arm.clone(), start_of_time(delivery))?,
+        let arm: Box<dyn Arm> = match config.robot.backend {
+            Backend::Simulate => {
+                Box::new(SimulatedArm::new(config.robot.arm.clone(), start_of_time(delivery))?)
+            }
+            Backend::XArm => Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm)?),
         };
         let never = Arc::new(AtomicBool::new(false));
         let robot = Robot {
             arm,
+            latch: Latch::new(),
+            guard: Guard::new(&config.robot.arm),
             states: Publisher::open(&process.session, &STATES, STATE_LENGTH, Delivery::Live, never)?,
             delivery,
             sample_rate_hz: config.acquisition.sample_rate_hz,
+            supervisor_heard_ns: None,
+            woke_ns: now_ns(),
+            is_introduced: false,
             state: StateHeader::default(),
         };
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
         process.connect(&commands)?;
-        process.ready("simulated xArm7")?;
+        process.control.listen(process.session.name())?;
         Ok(move |process: &mut StageProcess| robot.run(process, commands))
     })
 }
@@ -61,10 +80,18 @@ fn start_of_time(delivery: Delivery) -> u64 {
 }
 
 struct Robot {
-    arm: SimulatedArm,
+    arm: Box<dyn Arm>,
+    latch: Latch,
+    guard: Guard,
     states: Publisher<StateHeader, f32>,
     delivery: Delivery,
     sample_rate_hz: f64,
+    /// When the supervisor was last heard; `None` without one.
+    supervisor_heard_ns: Option<u64>,
+    /// When this process last did anything.
+    woke_ns: u64,
+    /// Whether the supervisor knows that the arm is ready.
+    is_introduced: bool,
     /// Of the last command acted on.
     state: StateHeader,
 }
@@ -76,14 +103,19 @@ impl Robot {
         mut commands: Subscriber<CommandHeader, f32>,
     ) -> anyhow::Result<()> {
         let mut tick_ns = now_ns();
-        loop {
+        let ended = loop {
+            if let Err(error) = self.introduce(process) {
+                break Err(error);
+            }
             let deadline_ns = match self.delivery {
                 Delivery::Live => Some(tick_ns),
                 Delivery::Lossless => process.measurements.deadline_ns(),
             };
-            match process.control.wait(Some(commands.as_fd()), deadline_ns)? {
-                Wake::Stop => break,
-                Wake::Order(_) => {}
+            let wake = process.control.wait(Some(commands.as_fd()), deadline_ns)?;
+            self.notice_stall();
+            match wake {
+                Wake::Stop => break Ok(()),
+                Wake::Order(order) => self.obey(process, order),
                 Wake::Message => {
                     commands.acknowledge_wakes()?;
                     while let Some(command) = commands.receive()? {
@@ -91,12 +123,17 @@ impl Robot {
                         process.measurements.counts.received = commands.received();
                         process.measurements.counts.lost = commands.lost();
                     }
-                    // A command may have set the still arm in motion.
-                    tick_ns = tick_ns.min(now_ns() + MOVING_PERIOD_NS);
+                    // A command may have set the still arm in motion: it need not wait for the next tick.
+                    if !self.arm.is_still() {
+                        tick_ns = tick_ns.min(now_ns() + MOVING_PERIOD_NS);
+                    }
                 }
                 Wake::Deadline if self.delivery == Delivery::Live => {
                     let now_ns = now_ns();
-                    self.arm.tick(now_ns);
+                    if !self.arm.is_still() {
+                        process.measurements.record_tick(now_ns.saturating_sub(tick_ns))?;
+                    }
+                    self.tick(now_ns);
                     self.publish_state(process)?;
                     process.measurements.publish_if_due()?;
                     let period_ns = if self.arm.is_still() { STILL_PERIOD_NS } else { MOVING_PERIOD_NS };
@@ -105,10 +142,87 @@ impl Robot {
                 }
                 Wake::Deadline => process.measurements.publish_if_due()?,
             }
-        }
-        self.arm.halt();
+        };
+        self.arm.stop();
         self.publish_state(process)?;
-        process.measurements.publish()
+        process.measurements.publish()?;
+        ended
+    }
+
+    /// Tells the supervisor once that the arm is ready.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot become ready.
+    fn introduce(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
+        if self.is_introduced {
+            return Ok(());
+        }
+        if self.arm.is_ready() {
+            self.is_introduced = true;
+            return process.ready(&self.arm.description());
+        }
+        match self.latch.reason() {
+            None => Ok(()),
+            Some(stop) => bail!("{} did not get ready: {}", self.arm.description(), words(stop)),
+        }
+    }
+
+    /// A process that stood still while its arm moved must not go on where it was: the arm has come to rest.
+    fn notice_stall(&mut self) {
+        let now_ns = now_ns();
+        let is_live = self.delivery == Delivery::Live;
+        if is_live && now_ns.saturating_sub(self.woke_ns) > STALE_NS && !self.arm.is_still() {
+            self.arm.stalled();
+            self.latch.interrupt(StopReason::RobotStalled);
+        }
+        self.woke_ns = now_ns;
+    }
+
+    fn obey(&mut self, process: &mut StageProcess, order: Order) {
+        match order {
+            Order::Alive => self.supervisor_heard_ns = Some(now_ns()),
+            Order::Stop => {
+                self.stop(Stop::because(StopReason::Ordered));
+                process.control.answer("the arm is stopped: `tendon arm` permits motion again");
+            }
+            Order::Arm => {
+                if self.latch.permission() == Permission::Stopped {
+                    self.arm.rearm(now_ns());
+                    self.guard.reset();
+                    self.latch.arm();
+                }
+                process.control.answer("armed: the arm moves again once the muscles have been at rest");
+            }
+            Order::Start | Order::Gesture(_) => {}
+        }
+    }
+
+    fn stop(&mut self, stop: Stop) {
+        self.arm.stop();
+        self.latch.stop(stop);
+    }
+
+    /// Lets the arm move, and looks after it.
+    fn tick(&mut self, now_ns: u64) {
+        if let Err(stop) = self.arm.tick(now_ns) {
+            self.stop(stop);
+        }
+        if self.arm.is_ready() && self.latch.permission() != Permission::Stopped {
+            let state = self.arm.state();
+            let joints_rad = JointVector::from(state.joints_rad);
+            if let Err(violation) = self.guard.check(now_ns, &joints_rad, state.position_mm) {
+                self.stop(Stop::because(reason_of(violation)));
+            }
+        }
+        if self.arm.halted_by_watchdog() {
+            self.latch.interrupt(StopReason::NoCommands);
+        }
+        let is_silent = |heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS;
+        if self.supervisor_heard_ns.is_some_and(is_silent) && self.latch.permission() == Permission::Granted {
+            self.arm.rest();
+            self.latch.interrupt(StopReason::SupervisorSilent);
+        }
     }
 
     fn take(
@@ -128,20 +242,9 @@ impl Robot {
                     (sample * 1e9 / self.sample_rate_hz) as u64
                 }
             };
-            self.arm.tick(now_ns);
-            let twist: &[f32; TWIST_LENGTH] = command
-                .payload()
-                .try_into()
-                .with_context(|| format!("a command of {} components", command.payload().len()))?;
-            let [x, y, z, about_x, about_y, about_z] = twist.map(f64::from);
-            let twist = Twist { linear_mm_per_s: [x, y, z], angular_rad_per_s: [about_x, about_y, about_z] };
-            if let Err(error) = self.arm.command(twist, now_ns) {
-                tracing::error!("a command was refused and the arm stopped: {error}");
-            }
-            match GripperCommand::from_number(header.gripper) {
-                GripperCommand::Keep => {}
-                GripperCommand::Open => self.arm.command_gripper(ArmGripper::Open, now_ns),
-                GripperCommand::Close => self.arm.command_gripper(ArmGripper::Close, now_ns),
+            self.tick(now_ns);
+            if self.arm.is_ready() && self.latch.admits(header) {
+                self.follow(command.payload(), header.gripper, now_ns)?;
             }
             self.state =
                 StateHeader { trace, gesture: header.voted, confidence: header.confidence, ..self.state };
@@ -153,13 +256,33 @@ impl Robot {
         process.measurements.record(measurement)
     }
 
+    fn follow(&mut self, twist: &[f32], gripper: u8, now_ns: u64) -> anyhow::Result<()> {
+        let length = twist.len();
+        let twist: &[f32; TWIST_LENGTH] =
+            twist.try_into().with_context(|| format!("a command of {length} components"))?;
+        let [x, y, z, about_x, about_y, about_z] = twist.map(f64::from);
+        let twist = Twist { linear_mm_per_s: [x, y, z], angular_rad_per_s: [about_x, about_y, about_z] };
+        if let Err(error) = self.arm.command(twist, now_ns) {
+            tracing::error!("a command was refused and the arm stopped: {error}");
+        }
+        match GripperCommand::from_number(gripper) {
+            GripperCommand::Keep => {}
+            GripperCommand::Open => self.arm.command_gripper(ArmGripper::Open, now_ns),
+            GripperCommand::Close => self.arm.command_gripper(ArmGripper::Close, now_ns),
+        }
+        Ok(())
+    }
+
     fn publish_state(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
         let state = self.arm.state();
+        let stop = self.latch.reason();
         let header = StateHeader {
             trace: Trace { sequence: 0, ..self.state.trace },
             speed_mm_per_s: state.linear_speed_mm_per_s as f32,
             gripper_position: state.gripper_position_pulses as f32,
-            halted_by_watchdog: state.halted_by_watchdog.into(),
+            permission: self.latch.permission() as u8,
+            stop_reason: stop.map_or(0, |stop| stop.reason as u8),
+            fault_code: stop.map_or(0, |stop| stop.fault_code),
             ..self.state
         };
         self.states.publish(header, STATE_LENGTH, |payload| {
@@ -171,5 +294,21 @@ impl Robot {
         })?;
         process.measurements.counts.published = self.states.published();
         Ok(())
+    }
+}
+
+fn reason_of(violation: LimitViolation) -> StopReason {
+    match violation {
+        LimitViolation::JointLimit { .. } => StopReason::JointLimit,
+        LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
+        LimitViolation::OverSpeed { .. } => StopReason::OverSpeed,
+    }
+}
+
+/// Why the arm stopped, and what to do.
+fn words(stop: Stop) -> String {
+    match tendon_xarm::Fault::new(tendon_xarm::Source::Controller, stop.fault_code) {
+        Some(fault) => fault.to_string(),
+        None => stop.reason.to_string(),
     }
 }

@@ -1,6 +1,7 @@
 //! The stages as child processes: started, heard, stopped, reaped.
 
 use std::io::{BufRead, BufReader, Write};
+use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
@@ -15,6 +16,8 @@ use tendon_process::{Order, Ready};
 
 /// How long a stage may take to stop before it is killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(3);
+/// Time between two signs of life to the robot, which rests after four have not come.
+const HEARTBEAT: Duration = Duration::from_millis(30);
 
 /// What the supervisor waits for.
 #[derive(Debug)]
@@ -23,10 +26,28 @@ pub enum Event {
     Ready(Stage, Ready),
     /// A stage closed its standard output: it has ended.
     Ended(Stage),
-    /// The person at the keyboard makes a gesture.
-    Gesture(tendon_gesture::Gesture),
+    /// A key for an order to this stage.
+    Order(Stage, Order),
     /// SIGINT, SIGTERM, or the key for it.
     Stop,
+}
+
+/// Tells the robot again and again that this process is there, from a thread that waits for nothing else: an arm
+/// whose supervisor hangs cannot be stopped from its keys.
+fn beat(orders: &ChildStdin) -> anyhow::Result<()> {
+    let own = orders.as_fd().try_clone_to_owned().context("cannot duplicate a pipe")?;
+    let mut orders = std::fs::File::from(own);
+    let line = format!("{}\n", Order::Alive.line());
+    std::thread::Builder::new()
+        .name("heartbeat".to_owned())
+        .spawn(move || {
+            // It fails when the robot is gone.
+            while orders.write_all(line.as_bytes()).is_ok() {
+                std::thread::sleep(HEARTBEAT);
+            }
+        })
+        .context("cannot start a thread")?;
+    Ok(())
 }
 
 /// All stages of a session. Dropping it kills and reaps what still runs.
@@ -66,6 +87,9 @@ impl Children {
                     )
                 })?;
             let orders = process.stdin.take().context("a piped input is missing")?;
+            if stage == Stage::Robot {
+                beat(&orders)?;
+            }
             let output = process.stdout.take().context("a piped output is missing")?;
             children.running.push(Running { stage, process, orders });
             let events = events.clone();

@@ -14,6 +14,7 @@ mod doctor;
 mod evaluate;
 mod experiments;
 mod latency;
+mod order;
 mod profile;
 mod resources;
 mod run;
@@ -24,6 +25,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use tendon_process::Order;
 
 /// Steer an assistive robot arm with forearm muscle signals.
 #[derive(Debug, Parser)]
@@ -39,6 +41,10 @@ enum Command {
     Run(Box<run::Options>),
     /// Show the live latencies of a running session.
     Latency(latency::Options),
+    /// Stop the arm of a running session at once; it does not move again before `tendon arm`.
+    Stop(order::Options),
+    /// Permit the arm of a running session to move again, once the muscles have been at rest.
+    Arm(order::Options),
     /// Check what this machine offers a session, and say how to mend what is wrong.
     Doctor(doctor::Options),
     /// Profiles of the simulated DAQ.
@@ -76,6 +82,8 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(options) => run::run(&options),
         Command::Latency(options) => latency::show(&options),
+        Command::Stop(options) => order::give(&options, Order::Stop),
+        Command::Arm(options) => order::give(&options, Order::Arm),
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),

@@ -14,7 +14,7 @@ use hdrhistogram::serialization::interval_log::IntervalLogWriterBuilder;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use tendon_config::{Config, Gestures, Pace, Realtime, Source};
+use tendon_config::{Backend, Config, Gestures, Pace, Realtime, Source};
 use tendon_evaluation::latency_figure;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_latency::{Report, SessionMeasurements};
@@ -31,7 +31,7 @@ use tendon_transport::{
 use crate::Failure;
 use crate::children::{Children, Event};
 use crate::resources;
-use crate::screen::{KEYS, Keyboard, Screen, live_line};
+use crate::screen::{GESTURE_KEYS, KEYS, Keyboard, Screen, live_line};
 
 /// Time between two looks at what the stages say. Their messages do not wait for it.
 const TICK: Duration = Duration::from_millis(100);
@@ -274,17 +274,22 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     let observer = Observer::open(config, options.latency_log.as_deref()).map_err(Failure::input)?;
     let children = Children::start(&config_file, &sender).map_err(Failure::input)?;
     let mut watch = Watch { config, events, children, observer, screen: Screen::new() };
+    // From before the arm goes to its start position: it can be stopped then, too.
+    let keyboard = if options.keyboard || Keyboard::is_there() {
+        Some(Keyboard::listen(&sender, options.keyboard).map_err(Failure::input)?)
+    } else {
+        None
+    };
     let Some(ready) = watch.wait_until_ready()? else {
         return watch.abandon();
     };
     watch.introduce(&ready);
-    let keyboard = if options.keyboard {
-        let keyboard = Keyboard::listen(&sender).map_err(Failure::input)?;
-        watch.screen.show(KEYS);
-        Some(keyboard)
-    } else {
-        None
-    };
+    if options.keyboard {
+        println!("  {GESTURE_KEYS}");
+    }
+    if keyboard.is_some() {
+        println!("  {KEYS}");
+    }
     let watched = watch.until_the_end(options.duration);
     let report = watch.stop_and_report(&ready);
     drop(keyboard);
@@ -418,7 +423,8 @@ impl Watch<'_> {
                 Ok(Event::Ready(stage, message)) => drop(ready.insert(stage, message)),
                 Ok(Event::Stop) => return Ok(None),
                 Ok(Event::Ended(stage)) => return Err(self.ended_early(stage)),
-                Ok(Event::Gesture(_)) | Err(_) => {}
+                Ok(Event::Order(stage, order)) => self.children.order(stage, order),
+                Err(_) => {}
             }
             let missing = || -> Vec<&str> {
                 let missing = Stage::ALL.into_iter().filter(|stage| !ready.contains_key(stage));
@@ -479,9 +485,7 @@ impl Watch<'_> {
             let left = duration.map_or(tick, |duration| duration.saturating_sub(begun.elapsed()));
             match self.events.recv_timeout(tick.min(left)) {
                 Ok(Event::Stop) => return Ok(()),
-                Ok(Event::Gesture(gesture)) => {
-                    self.children.order(Stage::Acquisition, Order::Gesture(gesture));
-                }
+                Ok(Event::Order(stage, order)) => self.children.order(stage, order),
                 Ok(Event::Ended(stage)) => return Err(self.ended_early(stage)),
                 Ok(Event::Ready(..)) | Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
@@ -548,7 +552,7 @@ impl Watch<'_> {
         cpu_s: BTreeMap<String, f64>,
         memory_mb: BTreeMap<String, f64>,
     ) -> Report {
-        let Config { acquisition, decision, .. } = self.config;
+        let Config { acquisition, decision, robot, .. } = self.config;
         let gathered = &self.observer.gathered;
         let replay_x_real_time = (self.config.delivery() == Delivery::Lossless).then(|| {
             let blocks = gathered.counts(Stage::Acquisition).published;
@@ -566,7 +570,10 @@ impl Watch<'_> {
                 Source::Simulate => "simulate".to_owned(),
                 Source::Replay => "replay".to_owned(),
             },
-            robot: "simulate".to_owned(),
+            robot: match robot.backend {
+                Backend::Simulate => "simulate".to_owned(),
+                Backend::XArm => "xarm".to_owned(),
+            },
             model: detail(Stage::Inference),
             strategy: decision.strategy.name().to_owned(),
             scheduling: started.ready.iter().map(scheduling).collect(),

@@ -6,8 +6,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use crossterm::event::{Event as TerminalEvent, KeyCode, KeyEventKind, KeyModifiers};
+use nix::sys::termios::{OutputFlags, SetArg, tcgetattr, tcsetattr};
+use nix::unistd::{getpgrp, tcgetpgrp};
 use tendon_gesture::Gesture;
-use tendon_messages::{STATE_LENGTH, Stage, StateHeader};
+use tendon_messages::{Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
+use tendon_process::Order;
+use tendon_xarm::Fault;
 
 use crate::children::Event;
 
@@ -15,7 +19,10 @@ use crate::children::Event;
 const PLAIN_INTERVAL: Duration = Duration::from_secs(5);
 
 /// What the keys do, for the person at them.
-pub const KEYS: &str = "keys: e extension, f flexion, u ulnar, r radial, g grip, space rest, q quit";
+pub const KEYS: &str = "keys: space STOP, a arm again, q quit";
+/// With `--keyboard`, before those.
+pub const GESTURE_KEYS: &str =
+    "keys: e extension, f flexion, u ulnar, r radial, g grip, n none of them (rest)";
 
 /// The live line on standard error.
 #[derive(Debug)]
@@ -64,8 +71,22 @@ pub fn live_line(elapsed: Duration, header: &StateHeader, state: &[f32]) -> Stri
         position[2],
         header.gripper_position,
         latency_us,
-        if header.halted_by_watchdog != 0 { "  NO COMMANDS: arm stopped" } else { "" }
+        standing(header)
     )
+}
+
+/// Why the arm does not move, empty if it may.
+fn standing(header: &StateHeader) -> String {
+    let reason = match (Fault::new(tendon_xarm::Source::Controller, header.fault_code), header.stop_reason) {
+        (Some(fault), _) => fault.to_string(),
+        (None, number) => StopReason::from_number(number).map_or(String::new(), |reason| reason.to_string()),
+    };
+    match Permission::from_number(header.permission) {
+        Permission::Granted => String::new(),
+        Permission::AwaitRest if reason.is_empty() => "  relax to begin".to_owned(),
+        Permission::AwaitRest => format!("  ARM RESTS ({reason}): relax to go on"),
+        Permission::Stopped => format!("  ARM STOPPED ({reason}): `tendon arm` or key a goes on"),
+    }
 }
 
 /// The terminal in raw mode, keys as events; as it was before when dropped.
@@ -73,15 +94,25 @@ pub fn live_line(elapsed: Duration, header: &StateHeader, state: &[f32]) -> Stri
 pub struct Keyboard;
 
 impl Keyboard {
-    pub fn listen(events: &Sender<Event>) -> anyhow::Result<Keyboard> {
+    /// Whether somebody can press keys: standard input is a terminal, and it is this program that it is for.
+    pub fn is_there() -> bool {
+        tcgetpgrp(std::io::stdin()).is_ok_and(|group| group == getpgrp())
+    }
+
+    /// Listens to the keys for stop, arm and quit, and to those for gestures if `with_gestures`.
+    pub fn listen(events: &Sender<Event>, with_gestures: bool) -> anyhow::Result<Keyboard> {
         crossterm::terminal::enable_raw_mode().context("--keyboard needs a terminal on standard input")?;
         let keyboard = Keyboard;
+        // Lines that are printed meanwhile begin at the left all the same.
+        let mut terminal = tcgetattr(std::io::stdin()).context("cannot set up the terminal")?;
+        terminal.output_flags.insert(OutputFlags::OPOST);
+        tcsetattr(std::io::stdin(), SetArg::TCSANOW, &terminal).context("cannot set up the terminal")?;
         let events = events.clone();
         std::thread::Builder::new()
             .name("keyboard".to_owned())
             .spawn(move || {
                 while let Ok(event) = crossterm::event::read() {
-                    if let Some(event) = meaning(&event)
+                    if let Some(event) = meaning(&event, with_gestures)
                         && events.send(event).is_err()
                     {
                         break;
@@ -100,20 +131,28 @@ impl Drop for Keyboard {
     }
 }
 
-fn meaning(event: &TerminalEvent) -> Option<Event> {
+fn meaning(event: &TerminalEvent, with_gestures: bool) -> Option<Event> {
     let TerminalEvent::Key(key) = event else { return None };
     if key.kind != KeyEventKind::Press {
         return None;
     }
+    let gesture = match key.code {
+        KeyCode::Char('e') => Some(Gesture::Extension),
+        KeyCode::Char('f') => Some(Gesture::Flexion),
+        KeyCode::Char('u') => Some(Gesture::Ulnar),
+        KeyCode::Char('r') => Some(Gesture::Radial),
+        KeyCode::Char('g') => Some(Gesture::Grip),
+        KeyCode::Char('n') => Some(Gesture::Rest),
+        _ => None,
+    };
+    if let Some(gesture) = gesture.filter(|_| with_gestures) {
+        return Some(Event::Order(Stage::Acquisition, Order::Gesture(gesture)));
+    }
     Some(match key.code {
         KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Event::Stop,
         KeyCode::Char('q') | KeyCode::Esc => Event::Stop,
-        KeyCode::Char('e') => Event::Gesture(Gesture::Extension),
-        KeyCode::Char('f') => Event::Gesture(Gesture::Flexion),
-        KeyCode::Char('u') => Event::Gesture(Gesture::Ulnar),
-        KeyCode::Char('r') => Event::Gesture(Gesture::Radial),
-        KeyCode::Char('g') => Event::Gesture(Gesture::Grip),
-        KeyCode::Char(' ') => Event::Gesture(Gesture::Rest),
+        KeyCode::Char(' ') => Event::Order(Stage::Robot, Order::Stop),
+        KeyCode::Char('a') => Event::Order(Stage::Robot, Order::Arm),
         _ => return None,
     })
 }

@@ -60,6 +60,7 @@ pub struct Guard {
     most_mm_per_s: f64,
     /// Time (ns) and position (mm) from which speed is measured.
     speed_from: Option<(u64, [f64; 3])>,
+    was_inside: bool,
 }
 
 impl Guard {
@@ -70,35 +71,18 @@ impl Guard {
             workspace_max_mm: settings.workspace_max_mm,
             most_mm_per_s: 1.5 * settings.linear_speed_limit_mm_per_s + 20.0,
             speed_from: None,
+            was_inside: false,
         }
     }
 
     /// Checks a report of joint angles (rad) and flange position (mm) that was made at `now_ns`.
     ///
+    /// A flange that was outside the workspace from the beginning, or since [`Guard::reset`], may be there until it is
+    /// inside for the first time: otherwise nothing could drive it back.
+    ///
     /// # Errors
     /// The first [`LimitViolation`] found.
     pub fn check(
-        &mut self,
-        now_ns: u64,
-        joints_rad: &JointVector,
-        position_mm: [f64; 3],
-    ) -> Result<(), LimitViolation> {
-        self.check_outside_workspace(now_ns, joints_rad, position_mm)?;
-        for (index, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
-            let lowest_mm = self.workspace_min_mm[index] - BOX_TOLERANCE_MM;
-            let highest_mm = self.workspace_max_mm[index] + BOX_TOLERANCE_MM;
-            if !(lowest_mm..=highest_mm).contains(&position_mm[index]) {
-                return Err(LimitViolation::WorkspaceBox { axis, position_mm: position_mm[index] });
-            }
-        }
-        Ok(())
-    }
-
-    /// [`Guard::check`] for an arm that may be out of the workspace, as on the way to its start position.
-    ///
-    /// # Errors
-    /// The first [`LimitViolation`] found, never [`LimitViolation::WorkspaceBox`].
-    pub fn check_outside_workspace(
         &mut self,
         now_ns: u64,
         joints_rad: &JointVector,
@@ -111,6 +95,18 @@ impl Guard {
                 let angle_deg = joints_rad[joint].to_degrees();
                 return Err(LimitViolation::JointLimit { joint: joint + 1, angle_deg });
             }
+        }
+        let outside = ['x', 'y', 'z'].into_iter().enumerate().find(|(index, _)| {
+            let lowest_mm = self.workspace_min_mm[*index] - BOX_TOLERANCE_MM;
+            let highest_mm = self.workspace_max_mm[*index] + BOX_TOLERANCE_MM;
+            !(lowest_mm..=highest_mm).contains(&position_mm[*index])
+        });
+        match outside {
+            None => self.was_inside = true,
+            Some((index, axis)) if self.was_inside || position_mm[index].is_nan() => {
+                return Err(LimitViolation::WorkspaceBox { axis, position_mm: position_mm[index] });
+            }
+            Some(_) => {}
         }
         let (from_ns, from_mm) = *self.speed_from.get_or_insert((now_ns, position_mm));
         let passed_ns = now_ns.saturating_sub(from_ns);
@@ -128,6 +124,7 @@ impl Guard {
     /// Forgets where the arm was: for a new connection, or when the guard did not watch for a while.
     pub fn reset(&mut self) {
         self.speed_from = None;
+        self.was_inside = false;
     }
 }
 
@@ -171,15 +168,16 @@ mod tests {
     }
 
     #[test]
-    fn a_flange_out_of_the_workspace_is_named_unless_it_may_be_there() {
+    fn a_flange_that_leaves_the_workspace_is_named_and_may_come_back() {
         let (mut guard, joints) = guard();
         for (axis, position_mm) in
             [('x', [197.0, 0.0, 300.0]), ('y', [300.0, 403.0, 300.0]), ('z', [300.0, 0.0, f64::NAN])]
         {
-            guard.reset();
+            assert_eq!(guard.check(0, &joints, [300.0, 0.0, 300.0]), Ok(()));
             let violation = guard.check(0, &joints, position_mm).unwrap_err();
             assert!(matches!(violation, LimitViolation::WorkspaceBox { axis: found, .. } if found == axis));
-            assert_eq!(guard.check_outside_workspace(0, &joints, position_mm), Ok(()));
+            guard.reset();
+            assert_eq!(guard.check(0, &joints, position_mm).is_ok(), !position_mm[2].is_nan());
         }
     }
 

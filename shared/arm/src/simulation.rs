@@ -19,7 +19,7 @@ pub enum GripperCommand {
 }
 
 /// What an arm reports.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmState {
     /// Joint angles in rad, joint 1 first.
     pub joints_rad: [f64; 7],
@@ -88,6 +88,11 @@ impl SimulatedArm {
             GripperCommand::Open => self.settings.gripper_open_pulses,
             GripperCommand::Close => self.settings.gripper_closed_pulses,
         };
+    }
+
+    /// Brings the arm to rest as [`SimulatedArm::stop`] does; the gripper goes on.
+    pub fn rest(&mut self) {
+        self.motion.stop();
     }
 
     /// Stops the arm as [`Motion::stop`] does and the gripper where it is, until the next command.

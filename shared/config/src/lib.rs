@@ -4,6 +4,7 @@
 //! key is an error that names the nearest known one. Paths are relative to the file's folder.
 #![forbid(unsafe_code)]
 
+use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -221,6 +222,40 @@ pub struct InferenceSettings {
 pub enum Backend {
     /// A kinematic simulation of the xArm7.
     Simulate,
+    /// An xArm7 on the network, or `xarm-emulator`.
+    #[serde(rename = "xarm")]
+    XArm,
+}
+
+/// Where the xArm7 is, and how it gets to its start position.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct XArmSettings {
+    /// Address of its control box; 127.0.0.1 for the emulator on this machine.
+    pub address: Option<IpAddr>,
+    /// Port of the control connection.
+    pub control_port: u16,
+    /// Port of the reports that carry errors.
+    pub normal_report_port: u16,
+    /// Port of the real-time reports.
+    pub real_time_report_port: u16,
+    /// Whether it has a gripper.
+    pub gripper: bool,
+    /// Greatest speed of a joint on the way to the start position, degrees/s.
+    pub start_speed_deg_per_s: f64,
+}
+
+impl Default for XArmSettings {
+    fn default() -> Self {
+        XArmSettings {
+            address: None,
+            control_port: 502,
+            normal_report_port: 30001,
+            real_time_report_port: 30003,
+            gripper: true,
+            start_speed_deg_per_s: 10.0,
+        }
+    }
 }
 
 /// Settings of the robot stage.
@@ -231,11 +266,17 @@ pub struct RobotSettings {
     pub backend: Backend,
     /// Limits, start position and watchdog.
     pub arm: ArmSettings,
+    /// The arm on the network.
+    pub xarm: XArmSettings,
 }
 
 impl Default for RobotSettings {
     fn default() -> Self {
-        RobotSettings { backend: Backend::Simulate, arm: ArmSettings::default() }
+        RobotSettings {
+            backend: Backend::Simulate,
+            arm: ArmSettings::default(),
+            xarm: XArmSettings::default(),
+        }
     }
 }
 
@@ -452,6 +493,30 @@ impl Config {
         tendon_signal::SignalChain::new(&self.dsp, acquisition.channels, acquisition.sample_rate_hz)
             .map_err(|error| invalid("dsp", &error))?;
         self.decision.check().map_err(|error| invalid("decision", &error))?;
+        if self.robot.backend == Backend::XArm {
+            if self.robot.xarm.address.is_none() {
+                return value(
+                    "robot.xarm.address",
+                    "(none)".to_owned(),
+                    "give the address of the arm's control box, or 127.0.0.1 for xarm-emulator",
+                );
+            }
+            if self.delivery() == Delivery::Lossless {
+                return value(
+                    "acquisition.replay.pace",
+                    "full".to_owned(),
+                    "a real arm takes its time: replay at the true pace, or set robot.backend = \"simulate\"",
+                );
+            }
+        }
+        let start_speed = self.robot.xarm.start_speed_deg_per_s;
+        if !(0.1..=45.0).contains(&start_speed) {
+            return value(
+                "robot.xarm.start_speed_deg_per_s",
+                start_speed.to_string(),
+                "take 0.1 to 45 degrees/s",
+            );
+        }
         self.robot.arm.check().map_err(|error| invalid("robot.arm", &error))
     }
 

@@ -100,6 +100,8 @@ pub struct SessionMeasurements {
     pub newest_sample_to_command: Histogram<u64>,
     /// Capture of the window's first sample to the command's publication: the paper's latency.
     pub window_start_to_command: Summary,
+    /// How late the robot's control ticks were, in motion.
+    pub control_tick: Histogram<u64>,
     /// Windows by true and by recognised gesture, of those that lie wholly inside one gesture.
     pub recognised: [[u64; Gesture::COUNT]; Gesture::COUNT],
 }
@@ -126,6 +128,7 @@ impl Default for SessionMeasurements {
             stages: std::array::from_fn(|_| stage()),
             newest_sample_to_command: duration_histogram(),
             window_start_to_command: Summary::new(),
+            control_tick: duration_histogram(),
             recognised: Default::default(),
         }
     }
@@ -152,6 +155,10 @@ impl SessionMeasurements {
             kept.allocations = header.allocations - when_warm;
         }
         for measurement in batch {
+            if measurement.tick_lateness_ns > 0 {
+                self.control_tick.saturating_record(measurement.tick_lateness_ns);
+                continue;
+            }
             if stage.upstream().is_some() {
                 kept.transit.saturating_record(measurement.transit_ns);
             }
@@ -232,6 +239,7 @@ impl SessionMeasurements {
         let whole = [
             ("newest-sample-to-command".to_owned(), &self.newest_sample_to_command),
             ("window-start-to-command".to_owned(), &self.window_start_to_command.histogram),
+            ("control-tick".to_owned(), &self.control_tick),
         ];
         for (name, histogram) in transits.chain(works).chain(whole) {
             let tag = hdrhistogram::serialization::interval_log::Tag::new(&name);

@@ -19,7 +19,7 @@ pub struct Report {
     pub duration_s: f64,
     /// `simulate` or `replay`.
     pub source: String,
-    /// `simulate`.
+    /// `simulate` or `xarm`.
     pub robot: String,
     /// File of the model.
     pub model: String,
@@ -35,6 +35,8 @@ pub struct Report {
     pub newest_sample_to_command: LatencySummary,
     /// Capture of the window's first sample to the command's publication.
     pub window_start_to_command: WindowStartSummary,
+    /// How late the robot's control ticks were while the arm moved: 250 Hz are wanted.
+    pub control_tick: LatencySummary,
     /// Messages published and lost, by topic.
     pub messages: BTreeMap<String, MessageCounts>,
     /// Blocks that the source left out because it could not keep up: they are on no topic.
@@ -240,6 +242,7 @@ impl Report {
                 median_ms: milliseconds(histogram.value_at_quantile(0.5) as f64),
                 max_ms: milliseconds(histogram.max() as f64),
             },
+            control_tick: LatencySummary::of(&measurements.control_tick),
             messages: messages.collect(),
             skipped_blocks: measurements.counts(Stage::Acquisition).stale,
             replaced_samples: measurements.counts(Stage::Dsp).replaced_samples,
@@ -285,6 +288,9 @@ impl Report {
              (the paper: mean 324, sd 14.6, min 297, median 326, max 356)",
             window.mean_ms, window.sd_ms, window.min_ms, window.median_ms, window.max_ms
         )?;
+        if self.control_tick.count > 0 {
+            row(out, "robot's control tick, lateness", &self.control_tick)?;
+        }
         write!(out, "messages")?;
         for topic in ["blocks", "windows", "predictions", "commands"] {
             let counts = self.messages.get(topic).copied().unwrap_or_default();
@@ -359,6 +365,7 @@ mod tests {
             window_start_to_publish_ns: 300_000_000,
             truth: Gesture::Extension as u8,
             gesture: gesture as u8,
+            ..Measurement::default()
         };
         measurements.absorb(&decision, &[seen(Gesture::Extension), seen(Gesture::Grip)]);
         let report = Report::of(&measurements);

@@ -18,9 +18,11 @@
 #![forbid(unsafe_code)]
 
 mod measurement;
+mod permission;
 mod topic;
 
 pub use measurement::{Measurement, MeasurementHeader};
+pub use permission::{Permission, StopReason};
 pub use topic::{BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATES, Topic, WINDOWS};
 
 use iceoryx2::prelude::ZeroCopySend;
@@ -292,6 +294,10 @@ pub struct StateHeader {
     pub confidence: f32,
     /// Class number of the gesture acted on.
     pub gesture: u8,
-    /// 1 when no command came in time and the arm was stopped for it.
-    pub halted_by_watchdog: u8,
+    /// Whether the arm may move: a [`Permission`] as number.
+    pub permission: u8,
+    /// Why it may not: a [`StopReason`] as number, 0 for none.
+    pub stop_reason: u8,
+    /// With [`StopReason::ArmFault`], the error code of the arm's controller.
+    pub fault_code: u8,
 }

@@ -17,6 +17,8 @@ pub struct Measurement {
     pub newest_sample_to_publish_ns: u64,
     /// Capture of the window's first sample to this stage's publish; only decision gives it.
     pub window_start_to_publish_ns: u64,
+    /// How late the robot's control tick was, at least 1; only the robot's ticks give it, and nothing else.
+    pub tick_lateness_ns: u64,
     /// The true gesture's class number if the window lies wholly inside it; only decision gives it.
     pub truth: u8,
     /// The window's recognised gesture, before the vote; only decision gives it.
@@ -30,6 +32,7 @@ impl Default for Measurement {
             work_ns: 0,
             newest_sample_to_publish_ns: 0,
             window_start_to_publish_ns: 0,
+            tick_lateness_ns: 0,
             truth: NO_GESTURE,
             gesture: NO_GESTURE,
         }

@@ -1,8 +1,7 @@
 //! How a process is told what to do, and its one blocking wait.
 //!
-//! A supervisor writes lines to the process's standard input: `start` lets the source begin,
-//! `gesture extension` is what the keyboard of `tendon run` says. The end of that input means that the
-//! supervisor is gone: the process stops. SIGINT and SIGTERM stop it as well.
+//! A supervisor writes orders to the process's standard input, a line each. The end of that input means that the
+//! supervisor is gone: the process stops. SIGINT and SIGTERM stop it as well. The robot takes orders from a socket, too.
 
 use std::io::PipeReader;
 use std::os::fd::{AsFd, BorrowedFd};
@@ -14,35 +13,9 @@ use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tendon_gesture::Gesture;
-use tendon_transport::now_ns;
+use tendon_transport::{SessionName, now_ns};
 
-/// A line that the supervisor wrote.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// Let the source begin.
-    Start,
-    /// The person at the keyboard makes this gesture.
-    Gesture(Gesture),
-}
-
-impl Order {
-    /// The line for this order, without the line feed.
-    pub fn line(self) -> String {
-        match self {
-            Order::Start => "start".to_owned(),
-            Order::Gesture(gesture) => format!("gesture {gesture}"),
-        }
-    }
-
-    fn parse(line: &str) -> Option<Order> {
-        match line.trim().split_once(' ') {
-            None if line.trim() == "start" => Some(Order::Start),
-            Some(("gesture", name)) => name.trim().parse().ok().map(Order::Gesture),
-            _ => None,
-        }
-    }
-}
+use crate::orders::{MAXIMUM_LINE_LENGTH, Order, OrderSocket};
 
 /// Why a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,7 +24,7 @@ pub enum Wake {
     Stop,
     /// There is a message.
     Message,
-    /// The supervisor says something.
+    /// The supervisor, or somebody at the socket, says something.
     Order(Order),
     /// The deadline has come.
     Deadline,
@@ -63,10 +36,8 @@ pub struct Control {
     stop: Arc<AtomicBool>,
     signal_pipe: PipeReader,
     line: Vec<u8>,
+    socket: Option<OrderSocket>,
 }
-
-/// Longest line of an order; what is longer is none of ours.
-const MAXIMUM_LINE_LENGTH: usize = 256;
 
 impl Control {
     /// Takes over SIGINT, SIGTERM and standard input.
@@ -82,7 +53,24 @@ impl Control {
             let end = signal_end.try_clone().context("cannot duplicate the pipe for signals")?;
             signal_hook::low_level::pipe::register(signal, end).context("cannot handle signals")?;
         }
-        Ok(Control { stop, signal_pipe, line: Vec::with_capacity(MAXIMUM_LINE_LENGTH) })
+        Ok(Control { stop, signal_pipe, line: Vec::with_capacity(MAXIMUM_LINE_LENGTH), socket: None })
+    }
+
+    /// Takes orders for `session` from now on by its socket, too.
+    ///
+    /// # Errors
+    ///
+    /// When the socket cannot be made.
+    pub fn listen(&mut self, session: &SessionName) -> anyhow::Result<()> {
+        self.socket = Some(OrderSocket::open(session)?);
+        Ok(())
+    }
+
+    /// Tells who gave the newest order by the socket what came of it. The supervisor reads it in the state.
+    pub fn answer(&mut self, text: &str) {
+        if let Some(socket) = &mut self.socket {
+            socket.answer(text);
+        }
     }
 
     /// Set when the process is to stop; shared with whatever may have to give up waiting for it.
@@ -110,10 +98,12 @@ impl Control {
                 return Ok(Wake::Order(order));
             }
             let standard_input = std::io::stdin();
+            let socket = self.socket.as_ref().map(AsFd::as_fd);
             let mut descriptors = [
                 PollFd::new(self.signal_pipe.as_fd(), PollFlags::POLLIN),
                 PollFd::new(standard_input.as_fd(), PollFlags::POLLIN),
-                // Without an input the signals stand in for it: being stopped is asked first below.
+                // Without a socket or an input the signals stand in for it: being stopped is asked first below.
+                PollFd::new(socket.unwrap_or(self.signal_pipe.as_fd()), PollFlags::POLLIN),
                 PollFd::new(input.unwrap_or(self.signal_pipe.as_fd()), PollFlags::POLLIN),
             ];
             let timeout: Option<TimeSpec> = deadline_ns.map(|deadline_ns| {
@@ -126,11 +116,15 @@ impl Control {
                 Err(error) => return Err(error).context("cannot wait for messages"),
             }
             let is_ready = |descriptor: &PollFd<'_>| descriptor.any() == Some(true);
-            let [signals, orders, messages] = descriptors.each_ref().map(is_ready);
+            let [signals, orders, asked, messages] = descriptors.each_ref().map(is_ready);
             if orders {
                 self.read_orders()?;
             } else if signals {
                 self.stop.store(true, Ordering::Relaxed);
+            } else if asked {
+                if let Some(order) = self.socket.as_mut().and_then(OrderSocket::receive) {
+                    return Ok(Wake::Order(order));
+                }
             } else if messages {
                 return Ok(Wake::Message);
             }
@@ -162,20 +156,5 @@ impl Control {
             Err(error) => return Err(error).context("cannot read orders from standard input"),
         }
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn orders_read_back_from_their_lines() {
-        for order in [Order::Start, Order::Gesture(Gesture::Ulnar)] {
-            assert_eq!(Order::parse(&order.line()), Some(order));
-        }
-        for nonsense in ["", "begin", "gesture", "gesture fist", "start now"] {
-            assert_eq!(Order::parse(nonsense), None, "{nonsense}");
-        }
     }
 }

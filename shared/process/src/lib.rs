@@ -13,6 +13,7 @@
 mod allocations;
 mod control;
 mod measure;
+mod orders;
 mod scheduling;
 
 use std::io::Write;
@@ -28,8 +29,9 @@ use tendon_messages::{Measurement, Stage, Trace, Traced};
 use tendon_transport::{Delivery, Element, Received, Session, Subscriber, now_ns};
 
 pub use allocations::allocations;
-pub use control::{Control, Order, Wake};
+pub use control::{Control, Wake};
 pub use measure::{BATCH_LENGTH, Measurements};
+pub use orders::{Order, OrderError, order_robot};
 pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 
 /// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older

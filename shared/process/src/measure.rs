@@ -61,6 +61,19 @@ impl Measurements {
             self.counts.first_message_ns = now_ns;
         }
         self.counts.newest_message_ns = now_ns;
+        self.push(measurement)
+    }
+
+    /// Takes how late a control tick was.
+    ///
+    /// # Errors
+    ///
+    /// As [`Measurements::record`].
+    pub fn record_tick(&mut self, lateness_ns: u64) -> anyhow::Result<()> {
+        self.push(Measurement { tick_lateness_ns: lateness_ns.max(1), ..Measurement::default() })
+    }
+
+    fn push(&mut self, measurement: Measurement) -> anyhow::Result<()> {
         self.batch.push(measurement);
         if self.batch.len() == BATCH_LENGTH { self.publish() } else { self.publish_if_due() }
     }

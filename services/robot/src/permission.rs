@@ -1,0 +1,134 @@
+//! Whether commands reach the arm.
+//!
+//! ```text
+//!                       windows that say rest
+//! start ──▶ await rest ─────────────────────────▶ granted
+//!              ▲    ▲ no commands, supervisor silent, process stalled │
+//!     arm order│    └─────────────────────────────────────────────────┤
+//!              │                                                      │ order, arm error, limit
+//!           stopped ◀─────────────────────────────────────────────────┘
+//! ```
+//!
+//! Whatever interrupted a motion, the arm does not move again before the person has been at rest: the muscles may
+//! still say what was meant before the interruption.
+
+use tendon_gesture::Gesture;
+use tendon_messages::{CommandHeader, Permission, StopReason};
+
+use crate::arm::Stop;
+
+/// Windows in a row that must say rest. One alone may be a mistake of the classifier, or the first of a signal chain
+/// that began anew and does not know better yet.
+const REST_WINDOWS: u32 = 3;
+
+/// The permission to move, and why there is none.
+#[derive(Clone, Copy, Debug)]
+pub struct Latch {
+    permission: Permission,
+    stop: Option<Stop>,
+    /// Windows in a row that said rest.
+    rests: u32,
+}
+
+impl Latch {
+    /// At the start nothing moves before the person has been at rest.
+    pub fn new() -> Latch {
+        Latch { permission: Permission::AwaitRest, stop: None, rests: 0 }
+    }
+
+    /// Whether the arm may follow the command of a window. What grants motion again is rest: intact windows that were
+    /// recognised as such. What was voted would not do, as votes begin with rest.
+    pub fn admits(&mut self, header: &CommandHeader) -> bool {
+        let is_rest = header.gesture == Gesture::Rest as u8 && header.context.replaced_samples == 0;
+        self.rests = if is_rest { self.rests + 1 } else { 0 };
+        if self.permission == Permission::AwaitRest && self.rests >= REST_WINDOWS {
+            *self = Latch { permission: Permission::Granted, stop: None, rests: self.rests };
+        }
+        self.permission == Permission::Granted
+    }
+
+    /// Nothing moves before [`Latch::arm`]. The first reason stays, but for one that says less than what follows.
+    pub fn stop(&mut self, stop: Stop) {
+        let says_little = self.stop.is_some_and(|stop| stop.reason == StopReason::NotReady);
+        if self.permission != Permission::Stopped || says_little {
+            *self = Latch { permission: Permission::Stopped, stop: Some(stop), rests: 0 };
+        }
+    }
+
+    /// Nothing moves before the person has been at rest.
+    pub fn interrupt(&mut self, reason: StopReason) {
+        if self.permission == Permission::Granted {
+            *self = Latch { stop: Some(Stop::because(reason)), ..Latch::new() };
+        }
+    }
+
+    /// Motion is wanted again: it is granted with the next rest.
+    pub fn arm(&mut self) {
+        *self = Latch::new();
+    }
+
+    pub fn permission(&self) -> Permission {
+        self.permission
+    }
+
+    pub fn reason(&self) -> Option<Stop> {
+        self.stop
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tendon_messages::WindowContext;
+
+    use super::*;
+
+    fn window(gesture: Gesture) -> CommandHeader {
+        CommandHeader { gesture: gesture as u8, voted: Gesture::Rest as u8, ..CommandHeader::default() }
+    }
+
+    fn rested(mut latch: Latch) -> Latch {
+        (0..REST_WINDOWS).for_each(|_| _ = latch.admits(&window(Gesture::Rest)));
+        latch
+    }
+
+    #[test]
+    fn nothing_moves_at_the_start_before_a_rest() {
+        let mut latch = Latch::new();
+        let damaged = WindowContext { replaced_samples: 1, ..WindowContext::default() };
+        for _ in 0..10 {
+            assert!(!latch.admits(&window(Gesture::Flexion)));
+            assert!(!latch.admits(&CommandHeader { context: damaged, ..window(Gesture::Rest) }));
+            assert!(!latch.admits(&CommandHeader { gesture: 77, ..window(Gesture::Rest) }));
+            assert!(!latch.admits(&window(Gesture::Rest)), "one window alone is no rest");
+        }
+        let mut latch = rested(latch);
+        assert!(latch.admits(&window(Gesture::Flexion)));
+    }
+
+    #[test]
+    fn an_interruption_ends_with_a_rest() {
+        let mut latch = rested(Latch::new());
+        latch.interrupt(StopReason::NoCommands);
+        assert_eq!(latch.reason(), Some(Stop::because(StopReason::NoCommands)));
+        assert!(!latch.admits(&window(Gesture::Flexion)));
+        let mut latch = rested(latch);
+        assert!(latch.admits(&window(Gesture::Flexion)));
+        assert_eq!(latch.reason(), None);
+    }
+
+    #[test]
+    fn a_stop_ends_with_an_arm_order_and_a_rest_only() {
+        let mut latch = rested(Latch::new());
+        latch.stop(Stop::because(StopReason::NotReady));
+        let fault = Stop { reason: StopReason::ArmFault, fault_code: 31 };
+        latch.stop(fault);
+        latch.stop(Stop::because(StopReason::Ordered));
+        latch.interrupt(StopReason::NoCommands);
+        assert_eq!(latch.reason(), Some(fault), "the first reason that says what is wrong stays");
+        let mut latch = rested(latch);
+        assert!(!latch.admits(&window(Gesture::Rest)) && !latch.admits(&window(Gesture::Flexion)));
+        latch.arm();
+        assert!(!latch.admits(&window(Gesture::Flexion)));
+        assert!(rested(latch).admits(&window(Gesture::Flexion)));
+    }
+}
