@@ -118,14 +118,15 @@ impl Robot {
                 Wake::Order(order) => self.obey(process, order),
                 Wake::Message => {
                     commands.acknowledge_wakes()?;
+                    let was_still = self.arm.is_still();
                     while let Some(command) = commands.receive()? {
                         self.take(process, &command)?;
                         process.measurements.counts.received = commands.received();
                         process.measurements.counts.lost = commands.lost();
                     }
-                    // A command may have set the still arm in motion: it need not wait for the next tick.
-                    if !self.arm.is_still() {
-                        tick_ns = tick_ns.min(now_ns() + MOVING_PERIOD_NS);
+                    // A command that sets the still arm in motion goes out at once.
+                    if was_still && !self.arm.is_still() {
+                        tick_ns = now_ns();
                     }
                 }
                 Wake::Deadline if self.delivery == Delivery::Live => {

@@ -39,6 +39,8 @@ const TICK: Duration = Duration::from_millis(100);
 const LOSSLESS_TICK: Duration = Duration::from_millis(50);
 /// How long the stages may take to become ready.
 const READY_TIMEOUT: Duration = Duration::from_secs(60);
+/// The same with an arm that first goes to its start position, perhaps twice around.
+const READY_TIMEOUT_OF_ARM: Duration = Duration::from_secs(300);
 /// After this long without being ready, the user is told what is waited for.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -417,6 +419,10 @@ impl Watch<'_> {
     /// Waits until all stages are ready, then lets the source begin; `None` when told to stop before.
     fn wait_until_ready(&mut self) -> Result<Option<Started>, Failure> {
         let begun = Instant::now();
+        let (timeout, on_the_way) = match self.config.robot.backend {
+            Backend::Simulate => (READY_TIMEOUT, ""),
+            Backend::XArm => (READY_TIMEOUT_OF_ARM, ": the arm goes to its start position"),
+        };
         let mut ready = BTreeMap::new();
         while ready.len() < Stage::ALL.len() {
             match self.events.recv_timeout(TICK) {
@@ -430,15 +436,17 @@ impl Watch<'_> {
                 let missing = Stage::ALL.into_iter().filter(|stage| !ready.contains_key(stage));
                 missing.map(Stage::name).collect()
             };
-            if begun.elapsed() > READY_TIMEOUT {
+            if begun.elapsed() > timeout {
                 return Err(Failure::running(anyhow::anyhow!(
                     "{} not ready after {} s: TENDON_LOG=debug shows more",
                     missing().join(", "),
-                    READY_TIMEOUT.as_secs()
+                    timeout.as_secs()
                 )));
             }
             if begun.elapsed() > PATIENCE {
-                self.screen.show(&format!("waiting for {}", missing().join(", ")));
+                let missing = missing();
+                let going = if missing == ["robot"] { on_the_way } else { "" };
+                self.screen.show(&format!("waiting for {}{going}", missing.join(", ")));
             }
         }
         let cpu_s = self
