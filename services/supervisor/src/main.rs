@@ -19,6 +19,7 @@ mod resources;
 mod run;
 mod screen;
 mod strategies;
+mod task;
 
 use std::io::Write;
 use std::process::ExitCode;

@@ -12,6 +12,7 @@ use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, SimulationSetti
 use tendon_gesture::DecisionSettings;
 use tendon_recordings::{Channel, RecordingSettings};
 use tendon_signal::SignalSettings;
+use tendon_task::TaskSettings;
 use tendon_transport::{Delivery, SessionName};
 
 /// All settings of a session.
@@ -30,6 +31,8 @@ pub struct Config {
     pub decision: DecisionSettings,
     /// The arm.
     pub robot: RobotSettings,
+    /// The target-zone task of `tendon run --task`.
+    pub task: TaskSettings,
     /// What is asked of the kernel's scheduler.
     pub scheduling: SchedulingSettings,
 }
@@ -43,6 +46,7 @@ impl Default for Config {
             inference: InferenceSettings::default(),
             decision: DecisionSettings::default(),
             robot: RobotSettings::default(),
+            task: TaskSettings::default(),
             scheduling: SchedulingSettings::default(),
         }
     }
@@ -452,7 +456,8 @@ impl Config {
         tendon_signal::SignalChain::new(&self.dsp, acquisition.channels, acquisition.sample_rate_hz)
             .map_err(|error| invalid("dsp", &error))?;
         self.decision.check().map_err(|error| invalid("decision", &error))?;
-        self.robot.arm.check().map_err(|error| invalid("robot.arm", &error))
+        self.robot.arm.check().map_err(|error| invalid("robot.arm", &error))?;
+        self.task.check().map_err(|error| invalid("task", &error))
     }
 
     /// Whether messages are waited for or the newest are kept.
