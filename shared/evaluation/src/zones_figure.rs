@@ -16,7 +16,7 @@ use tendon_task::{TaskReport, Workspace, ZoneScore, ZoneShape, ZoneTask};
 use crate::figure::{FONT, Figure, FigureError, draw, text};
 
 /// Pixels a mm, the same in both views and directions.
-const SCALE: f64 = 1.1;
+const SCALE: f64 = 1.4;
 /// Room for the labels of an axis, pixels.
 const LABELS: u32 = 56;
 /// Room around everything, pixels.
@@ -41,6 +41,11 @@ pub fn zones_figure(path: &Path, task: &ZoneTask, report: &TaskReport) -> Result
     let [x_mm, y_mm, z_mm] = picture.ranges_mm();
     let width = pixels(&y_mm) + LABELS + 2 * MARGIN;
     draw(path, (width, height(&x_mm) + height(&z_mm)), &picture)
+}
+
+/// Labels of an axis: one every 100 mm.
+fn ticks(range_mm: &Range<f64>) -> usize {
+    ((range_mm.end - range_mm.start) / 100.0).ceil() as usize + 1
 }
 
 fn pixels(range_mm: &Range<f64>) -> u32 {
@@ -95,11 +100,15 @@ impl Zones<'_> {
             .margin(MARGIN)
             .x_label_area_size(LABELS)
             .y_label_area_size(LABELS)
-            .build_cartesian_2d(y_mm, upwards_mm)
+            .build_cartesian_2d(y_mm, upwards_mm.clone())
             .map_err(text)?;
         chart
             .configure_mesh()
             .light_line_style(WHITE)
+            .x_labels(ticks(&self.ranges_mm()[1]))
+            .y_labels(ticks(&upwards_mm))
+            .x_label_formatter(&|mm| format!("{mm:.0}"))
+            .y_label_formatter(&|mm| format!("{mm:.0}"))
             .bold_line_style(BLACK.mix(0.08))
             .x_desc("y, mm")
             .y_desc(view.label)
@@ -161,7 +170,7 @@ impl Zones<'_> {
         let flat = |position_mm: &DVec3| (position_mm.y, (view.upwards)(*position_mm));
         let way: Vec<(f64, f64)> = self.task.trajectory_mm().iter().map(flat).collect();
         let ends = [way.first().copied(), way.last().copied()];
-        chart.draw_series([PathElement::new(way, WAY.stroke_width(1))]).map_err(text)?;
+        chart.draw_series([PathElement::new(way, WAY.stroke_width(2))]).map_err(text)?;
         let [start, end] = ends.map(|end| end.unwrap_or_default());
         chart
             .draw_series([Circle::new(start, 6, WAY.stroke_width(2)), Circle::new(end, 6, WAY.filled())])
