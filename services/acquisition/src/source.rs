@@ -68,7 +68,7 @@ impl Source {
                 (of_script(script), "random gestures".to_owned())
             }
             Gestures::Keyboard => {
-                (Performance::at_rest(contraction, settings.sample_rate_hz), "keyboard".to_owned())
+                (Performance::at_rest(contraction, settings.sample_rate_hz), "gestures as told".to_owned())
             }
         };
         let description =

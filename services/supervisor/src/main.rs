@@ -20,6 +20,7 @@ mod resources;
 mod run;
 mod screen;
 mod strategies;
+mod task;
 
 use std::io::Write;
 use std::process::ExitCode;

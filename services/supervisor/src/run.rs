@@ -32,11 +32,14 @@ use crate::Failure;
 use crate::children::{Children, Event};
 use crate::resources;
 use crate::screen::{GESTURE_KEYS, KEYS, Keyboard, Screen, live_line};
+use crate::task::{Task, TaskOption};
 
 /// Time between two looks at what the stages say. Their messages do not wait for it.
 const TICK: Duration = Duration::from_millis(100);
 /// The same in a lossless replay, which says much more in that time.
 const LOSSLESS_TICK: Duration = Duration::from_millis(50);
+/// The same with a task: the simulated user answers no later than a person would notice.
+const TASK_TICK: Duration = Duration::from_millis(20);
 /// How long the stages may take to become ready.
 const READY_TIMEOUT: Duration = Duration::from_secs(60);
 /// The same with an arm that first goes to its start position, perhaps twice around.
@@ -89,6 +92,10 @@ pub struct Options {
     /// The keys say which gesture the simulated person makes.
     #[arg(long, conflicts_with = "replay")]
     keyboard: bool,
+    /// Steer the arm into zones and score how it went. With the simulated DAQ and none of --script, --random and
+    /// --keyboard, a simulated user does it.
+    #[arg(long, value_enum)]
+    task: Option<TaskOption>,
     /// Seed of the simulated DAQ: the same seed gives the same samples.
     #[arg(long)]
     seed: Option<u64>,
@@ -187,6 +194,9 @@ impl Options {
         if self.keyboard {
             acquisition.simulate.gestures = Gestures::Keyboard;
         }
+        if self.has_simulated_user(acquisition.source) {
+            acquisition.simulate.gestures = Gestures::Keyboard;
+        }
         if let Some(seed) = self.seed {
             acquisition.simulate.seed = seed;
         }
@@ -206,6 +216,13 @@ impl Options {
                 RealtimeOption::Off => Realtime::Off,
             };
         }
+        if let Some(task) = self.task {
+            config.task = task.settings(config.task);
+            ensure!(
+                config.delivery() == Delivery::Live,
+                "--task is for the arm's own time: leave --pace full away"
+            );
+        }
         for path in [
             &mut config.acquisition.simulate.profile,
             &mut config.acquisition.replay.path,
@@ -221,6 +238,12 @@ impl Options {
         }
         config.check()?;
         Ok(config)
+    }
+
+    /// Whether the simulated user does the task: nobody else says which gestures are made.
+    fn has_simulated_user(&self, source: Source) -> bool {
+        let by_others = self.script.is_some() || self.random || self.keyboard;
+        self.task.is_some() && source == Source::Simulate && !by_others
     }
 }
 
@@ -273,7 +296,10 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         .map_err(Failure::input)?;
     let (sender, events) = channel();
     stop_on_signals(&sender).map_err(Failure::running)?;
-    let observer = Observer::open(config, options.latency_log.as_deref()).map_err(Failure::input)?;
+    let mut observer = Observer::open(config, options.latency_log.as_deref()).map_err(Failure::input)?;
+    observer.task = options
+        .task
+        .map(|task| Task::new(task, config, options.has_simulated_user(config.acquisition.source)));
     let children = Children::start(&config_file, &sender).map_err(Failure::input)?;
     let mut watch = Watch { config, events, children, observer, screen: Screen::new() };
     // From before the arm goes to its start position: it can be stopped then, too.
@@ -300,6 +326,9 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     println!("{}", report.table());
     if let Some(folder) = &options.figures {
         write_figures(folder, &watch.observer.gathered).map_err(Failure::running)?;
+        if let Some(task) = &watch.observer.task {
+            task.write_figures(folder).map_err(Failure::running)?;
+        }
     }
     if let Some(path) = &options.json {
         write_json(path, &report).map_err(Failure::running)?;
@@ -350,6 +379,7 @@ struct Observer {
     gathered: SessionMeasurements,
     state: StateHeader,
     state_payload: [f32; STATE_LENGTH],
+    task: Option<Task>,
     log: Option<PathBuf>,
     // Ports are closed before the membership they belong to.
     _session: Session,
@@ -364,6 +394,7 @@ impl Observer {
             gathered: SessionMeasurements::default(),
             state: StateHeader::default(),
             state_payload: [0.0; STATE_LENGTH],
+            task: None,
             log: log.map(Path::to_owned),
             _session: session,
         })
@@ -380,6 +411,10 @@ impl Observer {
             self.state = *state.header();
             if let Ok(payload) = state.payload().try_into() {
                 self.state_payload = payload;
+                if let Some(task) = &mut self.task {
+                    let [.., x, y, z, _, _, _] = payload;
+                    task.observe(state.header(), [x, y, z])?;
+                }
             }
         }
         Ok(())
@@ -474,6 +509,9 @@ impl Watch<'_> {
                 println!("  {:<12}{}", stage.name(), ready.detail);
             }
         }
+        if let Some(task) = &self.observer.task {
+            println!("  {:<12}{}", "task", task.describe());
+        }
         // All stages ask for the same, but for the priority.
         if let Some(ready) = started.ready.get(&Stage::Dsp) {
             let shortfall = &ready.scheduling.shortfall;
@@ -486,6 +524,7 @@ impl Watch<'_> {
     fn until_the_end(&mut self, duration: Option<Duration>) -> Result<(), Failure> {
         let begun = Instant::now();
         let tick = match self.config.delivery() {
+            Delivery::Live if self.observer.task.is_some() => TASK_TICK,
             Delivery::Live => TICK,
             Delivery::Lossless => LOSSLESS_TICK,
         };
@@ -499,7 +538,14 @@ impl Watch<'_> {
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
             self.observer.gather().map_err(Failure::running)?;
-            self.screen.show(&live_line(begun.elapsed(), &self.observer.state, &self.observer.state_payload));
+            let mut line = live_line(begun.elapsed(), &self.observer.state, &self.observer.state_payload);
+            if let Some(task) = &mut self.observer.task {
+                if let Some(gesture) = task.new_gesture() {
+                    self.children.order(Stage::Acquisition, Order::Gesture(gesture));
+                }
+                line.push_str(&task.live());
+            }
+            self.screen.show(&line);
             if duration.is_some_and(|duration| begun.elapsed() >= duration)
                 || self.observer.gathered.is_drained()
             {
@@ -589,6 +635,7 @@ impl Watch<'_> {
             cpu_s,
             memory_mb,
             final_position_mm: [x, y, z],
+            task: self.observer.task.as_ref().and_then(|task| task.report(self.observer.states.lost())),
             ..Report::of(gathered)
         }
     }

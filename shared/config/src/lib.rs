@@ -13,6 +13,7 @@ use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, SimulationSetti
 use tendon_gesture::DecisionSettings;
 use tendon_recordings::{Channel, RecordingSettings};
 use tendon_signal::SignalSettings;
+use tendon_task::TaskSettings;
 use tendon_transport::{Delivery, SessionName};
 
 /// All settings of a session.
@@ -31,6 +32,8 @@ pub struct Config {
     pub decision: DecisionSettings,
     /// The arm.
     pub robot: RobotSettings,
+    /// The target-zone task of `tendon run --task`.
+    pub task: TaskSettings,
     /// What is asked of the kernel's scheduler.
     pub scheduling: SchedulingSettings,
 }
@@ -44,6 +47,7 @@ impl Default for Config {
             inference: InferenceSettings::default(),
             decision: DecisionSettings::default(),
             robot: RobotSettings::default(),
+            task: TaskSettings::default(),
             scheduling: SchedulingSettings::default(),
         }
     }
@@ -517,7 +521,8 @@ impl Config {
                 "take 0.1 to 45 degrees/s",
             );
         }
-        self.robot.arm.check().map_err(|error| invalid("robot.arm", &error))
+        self.robot.arm.check().map_err(|error| invalid("robot.arm", &error))?;
+        self.task.check().map_err(|error| invalid("task", &error))
     }
 
     /// Whether messages are waited for or the newest are kept.

@@ -38,7 +38,7 @@ pub enum FigureError {
     },
 }
 
-const FONT: &str = "sans-serif";
+pub(crate) const FONT: &str = "sans-serif";
 /// Side of a cell of the confusion matrix, pixels.
 const CELL: i32 = 96;
 /// Room for the names of the classes and the titles, pixels.
@@ -79,13 +79,13 @@ pub fn latency_figure(path: &Path, title: &str, latencies_ns: &Histogram<u64>) -
 }
 
 /// Something that can be drawn on either kind of file.
-trait Figure {
+pub(crate) trait Figure {
     fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String>
     where
         B::ErrorType: 'static;
 }
 
-fn draw(path: &Path, size: (u32, u32), figure: &impl Figure) -> Result<(), FigureError> {
+pub(crate) fn draw(path: &Path, size: (u32, u32), figure: &impl Figure) -> Result<(), FigureError> {
     let write_error = |reason: String| FigureError::Write { path: path.to_owned(), reason };
     register_fonts().map_err(write_error)?;
     let drawn = match path.extension().and_then(|ending| ending.to_str()) {
@@ -112,7 +112,7 @@ fn register_fonts() -> Result<(), String> {
     if *registered { Ok(()) } else { Err("the font that comes with the program is broken".to_owned()) }
 }
 
-fn text(error: impl Debug) -> String {
+pub(crate) fn text(error: impl Debug) -> String {
     format!("{error:?}")
 }
 

@@ -13,9 +13,11 @@ mod continuous;
 mod evaluation;
 mod figure;
 mod tally;
+mod zones_figure;
 
 pub use confusion::{ClassScores, Confusion};
 pub use continuous::{CuePart, GestureWindows, RepetitionScores, Step, StrategyScores, StrategyTally, Times};
 pub use evaluation::{ConfusedPair, Evaluation, Group, Spread};
 pub use figure::{FigureError, confusion_figure, latency_figure};
 pub use tally::{Answer, Origin, Tally};
+pub use zones_figure::zones_figure;

@@ -7,6 +7,7 @@ use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_messages::Stage;
+use tendon_task::TaskReport;
 
 use crate::measurements::SessionMeasurements;
 
@@ -51,6 +52,9 @@ pub struct Report {
     /// Missing for a live session.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub replay_x_real_time: Option<f64>,
+    /// How the target-zone task went. Missing for a session without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub task: Option<TaskReport>,
     /// Stages restarted.
     pub restarts: u64,
     /// Processor time of every process, s; that of `tendon` itself as `supervisor`.
@@ -317,6 +321,9 @@ impl Report {
         writeln!(out)?;
         if let Some(speed) = self.replay_x_real_time {
             writeln!(out, "replay  {speed:.0} x real time")?;
+        }
+        if let Some(task) = &self.task {
+            writeln!(out, "{task}")?;
         }
         Ok(())
     }

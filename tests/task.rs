@@ -1,0 +1,49 @@
+//! The whole system put to use: a simulated user steers the arm into zones, from muscle to motion and back.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
+
+use tendon_system_tests::{TendonBuilder, unique_session};
+
+#[test]
+fn a_simulated_user_steers_the_arm_into_zones() {
+    let figures = tempfile::tempdir().unwrap();
+    // Near and wide zones and no slips, so that 25 s hold some of them even on a machine that is slow.
+    let ended = TendonBuilder::run(&unique_session())
+        .args(&["--task", "zones", "--duration", "25s"])
+        .args(&["--set", "task.distance_mm=[50, 80]", "--set", "task.width_mm=60"])
+        .args(&["--set", "task.user.error_rate=0"])
+        .arg("--figures")
+        .arg(figures.path())
+        .end();
+    let task = ended.report().task.unwrap();
+    assert!(task.zones_reached >= 1, "{task:#?}");
+    assert_eq!((task.name.as_str(), task.user.as_str(), task.box_violations), ("zones", "simulated", 0));
+    assert!(task.throughput_bits_per_s.unwrap() > 0.0, "{task:#?}");
+    assert_eq!(task.zones.len(), task.zones_reached + task.zones_timed_out);
+    // The first zone comes after the 5 s of calibration.
+    assert!(task.duration_s < 20.0, "{task:#?}");
+    assert!(ended.output.contains("zones reached"), "{}", ended.output);
+    for figure in ["zones.png", "zones.svg"] {
+        assert!(figures.path().join(figure).is_file(), "{figure} is missing");
+    }
+}
+
+#[test]
+fn a_script_may_do_the_papers_task_and_a_session_without_a_task_has_no_score() {
+    let run = |task: &[&str]| {
+        let builder =
+            TendonBuilder::run(&unique_session()).args(&["--duration", "7s", "--script", "rest 6s"]);
+        builder.args(task).end().report()
+    };
+    let task = run(&["--task", "paper-zones"]).task.unwrap();
+    assert_eq!((task.name.as_str(), task.user.as_str()), ("paper-zones", "person"));
+    assert_eq!((task.zones_reached, task.dwell_s), (0, 0.0));
+    assert_eq!(run(&[]).task, None);
+}
+
+#[test]
+fn a_task_at_full_speed_is_refused() {
+    TendonBuilder::run(&unique_session())
+        .args(&["--task", "zones", "--replay", "emg.csv", "--replay-rate-hz", "1000", "--pace", "full"])
+        .end()
+        .assert_failed(2, &["--task", "--pace full"]);
+}
