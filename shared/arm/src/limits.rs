@@ -20,11 +20,12 @@ use crate::kinematics::{
 use crate::ramp::{STEP_S, part};
 use crate::velocity::{JOINT_MARGIN_RAD, Posture, SMALLEST_SINGULAR_VALUE};
 
-/// Motion ends this far before a face of the workspace box, in mm.
-const BOX_MARGIN_MM: f64 = 0.5;
+/// Motion ends this far before a face of the workspace box, in mm: the way in 30 ms, by which a report may be late, at
+/// 100 mm/s.
+const BOX_MARGIN_MM: f64 = 3.0;
 
-/// Motion ends at this singularity distance.
-const SINGULARITY_MARGIN: f64 = 0.005;
+/// Motion ends this far before singularity distances that count as singular.
+const SINGULARITY_MARGIN: f64 = 0.01;
 
 /// A joint predicted to be faster than this, in rad/s, is too fast.
 const JOINT_SPEED_MARGIN_RAD_PER_S: f64 = 0.9 * JOINT_SPEED_LIMIT_RAD_PER_S;

@@ -82,9 +82,10 @@ impl Random {
         };
         for axis in 0..3 {
             let mut away_mm =
-                || if self.chance(0.3) { self.between(6.0, 26.0) } else { self.between(30.0, 500.0) };
+                || if self.chance(0.3) { self.between(0.5, 26.0) } else { self.between(30.0, 500.0) };
             settings.workspace_min_mm[axis] = position_mm[axis] - away_mm();
-            settings.workspace_max_mm[axis] = position_mm[axis] + away_mm();
+            settings.workspace_max_mm[axis] =
+                (position_mm[axis] + away_mm()).max(settings.workspace_min_mm[axis] + 11.0);
         }
         if self.chance(0.3) {
             settings.linear_speed_limit_mm_per_s = self.between(20.0, 250.0);
