@@ -172,3 +172,31 @@ fn leads_back<const N: usize>(
 fn to_m(velocity: &Vector6<f64>) -> Vector6<f64> {
     velocity.component_mul(&Vector6::new(1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_velocity_that_asks_too_much_speed_of_a_joint_is_refused() {
+        let limits = Limits::new(&ArmSettings {
+            workspace_min_mm: [-2000.0; 3],
+            workspace_max_mm: [2000.0; 3],
+            ..ArmSettings::default()
+        });
+        // Joint 6 nearly aligns the axes of joints 5 and 7.
+        let joints_rad = JointVector::from([0.0, -0.3, 0.0, 0.8, 0.3, 0.06, 0.0]);
+        let here = limits.at(&joints_rad).unwrap();
+        let svd = limits.arm.jacobian(&joints_rad).svd(true, false);
+        let hardest = svd.u.unwrap().column(svd.singular_values.imin()).into_owned();
+        // One step, so that its way is too short to meet another limit.
+        let permits = |speed: f64| {
+            let velocity = (hardest * speed).component_mul(&Vector6::new(1e3, 1e3, 1e3, 1.0, 1.0, 1.0));
+            here.permit([velocity, Vector6::zeros()].into_iter())
+        };
+        let joint_speed = here.posture.task(&hardest).amax();
+        let fastest = JOINT_SPEED_MARGIN_RAD_PER_S / joint_speed;
+        assert!(permits(0.9 * fastest) && permits(-0.9 * fastest));
+        assert!(!permits(1.1 * fastest) && !permits(-1.1 * fastest));
+    }
+}
