@@ -20,11 +20,12 @@ use crate::kinematics::{
 use crate::ramp::{STEP_S, part};
 use crate::velocity::{JOINT_MARGIN_RAD, Posture, SMALLEST_SINGULAR_VALUE};
 
-/// Motion ends this far before a face of the workspace box, in mm.
-const BOX_MARGIN_MM: f64 = 0.5;
+/// Motion ends this far before a face of the workspace box, in mm: the way in 30 ms, by which a report may be late, at
+/// 100 mm/s.
+const BOX_MARGIN_MM: f64 = 3.0;
 
-/// Motion ends at this singularity distance.
-const SINGULARITY_MARGIN: f64 = 0.005;
+/// Motion ends this far before singularity distances that count as singular.
+const SINGULARITY_MARGIN: f64 = 0.01;
 
 /// A joint predicted to be faster than this, in rad/s, is too fast.
 const JOINT_SPEED_MARGIN_RAD_PER_S: f64 = 0.9 * JOINT_SPEED_LIMIT_RAD_PER_S;
@@ -170,4 +171,32 @@ fn leads_back<const N: usize>(
 /// A velocity in mm/s above rad/s as one in m/s above rad/s.
 fn to_m(velocity: &Vector6<f64>) -> Vector6<f64> {
     velocity.component_mul(&Vector6::new(1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_velocity_that_asks_too_much_speed_of_a_joint_is_refused() {
+        let limits = Limits::new(&ArmSettings {
+            workspace_min_mm: [-2000.0; 3],
+            workspace_max_mm: [2000.0; 3],
+            ..ArmSettings::default()
+        });
+        // Joint 6 nearly aligns the axes of joints 5 and 7.
+        let joints_rad = JointVector::from([0.0, -0.3, 0.0, 0.8, 0.3, 0.06, 0.0]);
+        let here = limits.at(&joints_rad).unwrap();
+        let svd = limits.arm.jacobian(&joints_rad).svd(true, false);
+        let hardest = svd.u.unwrap().column(svd.singular_values.imin()).into_owned();
+        // One step, so that its way is too short to meet another limit.
+        let permits = |speed: f64| {
+            let velocity = (hardest * speed).component_mul(&Vector6::new(1e3, 1e3, 1e3, 1.0, 1.0, 1.0));
+            here.permit([velocity, Vector6::zeros()].into_iter())
+        };
+        let joint_speed = here.posture.task(&hardest).amax();
+        let fastest = JOINT_SPEED_MARGIN_RAD_PER_S / joint_speed;
+        assert!(permits(0.9 * fastest) && permits(-0.9 * fastest));
+        assert!(!permits(1.1 * fastest) && !permits(-1.1 * fastest));
+    }
 }

@@ -20,6 +20,10 @@ const RELATIVE_TOLERANCE: f64 = 1e-6;
 /// The flange may be elsewhere than its velocity says by so much a step, in mm: the midpoint rule's error.
 const FOLLOWING_TOLERANCE_MM: f64 = 2e-3;
 
+/// No start is nearer to a joint limit. Motion leads no joint nearer than 0.02 rad; a start within that margin leaves
+/// room for less than what the prediction errs by, and the joint limit comes before the acceleration.
+const LEAST_ROOM_RAD: f64 = 0.005;
+
 /// Uniform random numbers: SplitMix64.
 struct Random(u64);
 
@@ -47,7 +51,8 @@ impl Random {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// Joint angles (rad) away from singularities, often near a limit or near a singularity.
+    /// Joint angles (rad) away from singularities and at least [`LEAST_ROOM_RAD`] from joint limits, often near one of
+    /// either.
     fn posture(&mut self, arm: &XArm7) -> JointVector {
         let near_singularity = self.chance(0.3);
         let near_limit = self.chance(0.4);
@@ -64,7 +69,8 @@ impl Random {
                 };
             }
             let farthest = if near_singularity { 0.08 } else { f64::INFINITY };
-            if (0.045..farthest).contains(&singularity_distance(arm, &joints)) {
+            let room_rad = (UPPER_LIMITS_RAD - joints).inf(&(joints - LOWER_LIMITS_RAD)).min();
+            if room_rad >= LEAST_ROOM_RAD && (0.045..farthest).contains(&singularity_distance(arm, &joints)) {
                 return joints;
             }
         }
@@ -82,9 +88,10 @@ impl Random {
         };
         for axis in 0..3 {
             let mut away_mm =
-                || if self.chance(0.3) { self.between(6.0, 26.0) } else { self.between(30.0, 500.0) };
+                || if self.chance(0.3) { self.between(0.5, 26.0) } else { self.between(30.0, 500.0) };
             settings.workspace_min_mm[axis] = position_mm[axis] - away_mm();
-            settings.workspace_max_mm[axis] = position_mm[axis] + away_mm();
+            settings.workspace_max_mm[axis] =
+                (position_mm[axis] + away_mm()).max(settings.workspace_min_mm[axis] + 11.0);
         }
         if self.chance(0.3) {
             settings.linear_speed_limit_mm_per_s = self.between(20.0, 250.0);
