@@ -50,7 +50,7 @@ impl Bits {
     }
 
     fn damage(&mut self, frame: &mut [u8], start: usize) {
-        if self.next() % 3 == 0 {
+        if self.next().is_multiple_of(3) {
             let place = start + self.next() as usize % (frame.len() - start);
             frame[place] = self.next() as u8;
         }
@@ -78,7 +78,7 @@ impl Storm {
             }
             for _ in 0..50 {
                 if is_control {
-                    let guess = if bits.next() % 4 == 0 { bits.next() as u16 } else { transaction };
+                    let guess = if bits.next().is_multiple_of(4) { bits.next() as u16 } else { transaction };
                     bits.reply(guess, &mut piece);
                 } else {
                     bits.report(&mut piece);
