@@ -41,6 +41,16 @@ fn a_script_may_do_the_papers_task_and_a_session_without_a_task_has_no_score() {
 }
 
 #[test]
+fn a_task_that_cannot_be_done_is_refused_before_anything_moves() {
+    let run = || TendonBuilder::run(&unique_session()).args(&["--task", "zones"]);
+    run().args(&["--set", "task.width_mm=400"]).end().assert_failed(2, &["no room for zones 400 mm wide"]);
+    run()
+        .args(&["--set", "task.dwell_s=-1"])
+        .end()
+        .assert_failed(2, &["[task] dwell_s = -1: take 0 to 60 s"]);
+}
+
+#[test]
 fn a_task_at_full_speed_is_refused() {
     TendonBuilder::run(&unique_session())
         .args(&["--task", "zones", "--replay", "emg.csv", "--replay-rate-hz", "1000", "--pace", "full"])

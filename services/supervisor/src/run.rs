@@ -297,9 +297,10 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     let (sender, events) = channel();
     stop_on_signals(&sender).map_err(Failure::running)?;
     let mut observer = Observer::open(config, options.latency_log.as_deref()).map_err(Failure::input)?;
-    observer.task = options
-        .task
-        .map(|task| Task::new(task, config, options.has_simulated_user(config.acquisition.source)));
+    if let Some(task) = options.task {
+        let has_simulated_user = options.has_simulated_user(config.acquisition.source);
+        observer.task = Some(Task::new(task, config, has_simulated_user).map_err(Failure::input)?);
+    }
     let children = Children::start(&config_file, &sender).map_err(Failure::input)?;
     let mut watch = Watch { config, events, children, observer, screen: Screen::new() };
     // From before the arm goes to its start position: it can be stopped then, too.

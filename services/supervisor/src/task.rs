@@ -10,11 +10,12 @@ use std::path::Path;
 
 use anyhow::Context;
 use glam::DVec3;
+use tendon_arm::SimulatedArm;
 use tendon_config::Config;
 use tendon_evaluation::zones_figure;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_messages::{Permission, Stage, StateHeader};
-use tendon_task::{SimulatedUser, TaskReport, TaskSettings, Workspace, ZoneTask};
+use tendon_task::{Placement, SimulatedUser, TaskReport, TaskSettings, Workspace, ZoneTask};
 
 /// A task on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -60,12 +61,23 @@ pub struct Task {
 }
 
 impl Task {
-    /// A task that begins with the first states that answer to samples, or, where the strategy has to calibrate, after
-    /// that.
-    pub fn new(option: TaskOption, config: &Config, with_simulated_user: bool) -> Task {
+    /// A task that begins with the first states that answer to samples, or, where the strategy has to calibrate,
+    /// after that.
+    ///
+    /// # Errors
+    ///
+    /// When there is no room for zones around the arm's start.
+    pub fn new(option: TaskOption, config: &Config, with_simulated_user: bool) -> anyhow::Result<Task> {
         let settings = config.task.clone();
+        // Zones will lie around wherever the arm then is, but what can be known now is refused before anything moves.
+        let start_mm = SimulatedArm::new(config.robot.arm.clone(), 0)?.state().position_mm.into();
+        let workspace = Workspace {
+            min_mm: config.robot.arm.workspace_min_mm.into(),
+            max_mm: config.robot.arm.workspace_max_mm.into(),
+        };
+        Placement::new(&settings, start_mm, &workspace)?;
         let user = || SimulatedUser::new(&settings.user, config.decision.speed_mm_per_s, settings.seed);
-        Task {
+        Ok(Task {
             option,
             begins_s: match config.decision.strategy {
                 Strategy::Threshold => config.dsp.activity.calibration_s,
@@ -75,19 +87,16 @@ impl Task {
             gesture: (Gesture::Rest, true),
             first_captured_ns: None,
             under_way: None,
-            workspace: Workspace {
-                min_mm: config.robot.arm.workspace_min_mm.into(),
-                max_mm: config.robot.arm.workspace_max_mm.into(),
-            },
+            workspace,
             settings,
-        }
+        })
     }
 
     /// Looks at a state of the arm.
     ///
     /// # Errors
     ///
-    /// When there is no room for zones around the place where the task begins.
+    /// When there is no room for zones around the place where the task begins; it is then not begun again.
     pub fn observe(&mut self, header: &StateHeader, position_mm: [f32; 3]) -> anyhow::Result<()> {
         let trace = &header.trace;
         if trace.captured_ns == 0 {
@@ -105,8 +114,9 @@ impl Task {
         let task = match &mut self.under_way {
             Some(task) => task,
             under_way => {
-                let task = ZoneTask::new(&self.settings, self.workspace, time_s, position_mm)?;
-                under_way.insert(task)
+                let task = ZoneTask::new(&self.settings, self.workspace, time_s, position_mm);
+                // The session is to end in good order, so this is said once.
+                under_way.insert(task.inspect_err(|_| self.begins_s = f64::INFINITY)?)
             }
         };
         task.observe(time_s, position_mm);

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::{
@@ -25,6 +25,10 @@ const MARGIN: u32 = 16;
 const CAPTION: u32 = 36;
 /// Room around the workspace, mm.
 const BORDER_MM: f64 = 20.0;
+/// A point so near to the straight line between others, mm, is not drawn.
+const STRAIGHT_MM: f64 = 0.5;
+/// Points of the way in one straight piece, at most: bounds the work on a way that never leaves its place.
+const LONGEST_PIECE: usize = 1000;
 const REACHED: RGBColor = RGBColor(0, 140, 60);
 const MISSED: RGBColor = RGBColor(200, 40, 30);
 const WAY: RGBColor = RGBColor(33, 113, 181);
@@ -167,11 +171,14 @@ impl Zones<'_> {
     where
         B::ErrorType: 'static,
     {
-        let flat = |position_mm: &DVec3| (position_mm.y, (view.upwards)(*position_mm));
-        let way: Vec<(f64, f64)> = self.task.trajectory_mm().iter().map(flat).collect();
-        let ends = [way.first().copied(), way.last().copied()];
-        chart.draw_series([PathElement::new(way, WAY.stroke_width(2))]).map_err(text)?;
-        let [start, end] = ends.map(|end| end.unwrap_or_default());
+        let flat = |position_mm: &DVec3| DVec2::new(position_mm.y, (view.upwards)(*position_mm));
+        let way = straightened(&self.task.trajectory_mm().iter().map(flat).collect::<Vec<_>>());
+        // Piece by piece: plotters gives a path that turns back on itself no width.
+        let pieces = way
+            .windows(2)
+            .map(|ends| PathElement::new([<(f64, f64)>::from(ends[0]), ends[1].into()], WAY.stroke_width(2)));
+        chart.draw_series(pieces).map_err(text)?;
+        let [start, end] = [way.first(), way.last()].map(|end| end.copied().unwrap_or_default().into());
         chart
             .draw_series([Circle::new(start, 6, WAY.stroke_width(2)), Circle::new(end, 6, WAY.filled())])
             .map_err(text)?;
@@ -188,8 +195,10 @@ impl Zones<'_> {
     {
         let numbers = self.report.zones.iter().enumerate().map(|(index, zone)| {
             let centre_mm = DVec3::from(zone.centre_mm);
+            // Near the upper edge, since the way mostly ends in the middle.
+            let place = (centre_mm.y, (view.upwards)(centre_mm) + 0.3 * self.report.width_mm);
             let style = (FONT, 14).into_font().color(&colour(zone)).pos(Pos::new(HPos::Center, VPos::Center));
-            Text::new((index + 1).to_string(), (centre_mm.y, (view.upwards)(centre_mm)), style)
+            Text::new((index + 1).to_string(), place, style)
         });
         chart.draw_series(numbers).map_err(text).map(|_| ())
     }
@@ -207,6 +216,31 @@ impl Figure for Zones<'_> {
     }
 }
 
+/// The way without the points that lie within [`STRAIGHT_MM`] of the straight line between their neighbours.
+fn straightened(way: &[DVec2]) -> Vec<DVec2> {
+    let Some(first) = way.first() else { return Vec::new() };
+    let mut kept = vec![*first];
+    let mut anchor = 0;
+    for next in 1..way.len() {
+        let between = &way[anchor + 1..next];
+        let is_straight =
+            between.iter().all(|point| distance_to_piece(*point, way[anchor], way[next]) <= STRAIGHT_MM);
+        if !is_straight || between.len() >= LONGEST_PIECE {
+            anchor = next - 1;
+            kept.push(way[anchor]);
+        }
+    }
+    kept.extend(way[1..].last());
+    kept
+}
+
+/// Distance from a point to the straight piece between two others.
+fn distance_to_piece(point: DVec2, from: DVec2, to: DVec2) -> f64 {
+    let along = to - from;
+    let share = ((point - from).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    point.distance(from + share * along)
+}
+
 fn colour(zone: &ZoneScore) -> RGBColor {
     if zone.reached { REACHED } else { MISSED }
 }
@@ -215,6 +249,17 @@ fn colour(zone: &ZoneScore) -> RGBColor {
 mod tests {
     use super::*;
     use tendon_task::TaskSettings;
+
+    #[test]
+    fn a_straight_way_is_two_points_and_corners_and_turns_are_kept() {
+        let point = |across: i32, up: i32| DVec2::new(across.into(), up.into());
+        let right = (0..50).map(|across| point(across, 0));
+        let up_and_back = (0..20).chain((0..10).rev()).map(|up| point(49, up));
+        let way: Vec<DVec2> = right.chain(up_and_back).collect();
+        assert_eq!(straightened(&way), [point(0, 0), point(49, 0), point(49, 19), point(49, 0)]);
+        assert_eq!(straightened(&[]), []);
+        assert_eq!(straightened(&[DVec2::ONE]), [DVec2::ONE]);
+    }
 
     #[test]
     fn zones_and_way_are_drawn_with_what_came_of_them() {

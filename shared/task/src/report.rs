@@ -15,7 +15,8 @@ pub struct ZoneScore {
     pub centre_mm: [f64; 3],
     /// Distance from where the arm was when the zone appeared to its centre, mm.
     pub distance_mm: f64,
-    /// Index of difficulty log₂(D/W + 1) of that distance and the zone's width, bits: the Shannon form of ISO 9241-411.
+    /// Index of difficulty log₂(D/W + 1) of that distance and the zone's width, bits: the Shannon form, as in
+    /// ISO 9241-411.
     pub index_of_difficulty_bits: f64,
     /// Whether it was reached before its time was over.
     pub reached: bool,

@@ -6,8 +6,8 @@
 //!  └── release: as early as the stop has been learnt to take, or seen to go astray ─┘
 //! ```
 //!
-//! Gestures move along one axis at a time, so the user goes along the one on which most is missing, then along the other.
-//! It knows nothing of the system but what it has seen: how far the arm runs on after a release, and how long
+//! Gestures move along one axis at a time, so the user goes along the one on which most is missing, then along the
+//! other. It knows nothing of the system but what it has seen: how far the arm runs on after a release, and how long
 //! a contraction has no effect, are learnt from one movement to the next.
 
 use std::collections::VecDeque;
