@@ -2,18 +2,18 @@
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
 use tendon_recordings::Channel;
 use tendon_recordings::dataset::{
-    BuildSettings, DatasetSettings, Manifest, OnsetStatistics, Progress, SplitEntry,
+    BuildSettings, DatasetSettings, Manifest, OnsetStatistics, Progress as BuildProgress, SplitEntry,
 };
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
+use crate::progress::Progress;
 
 /// Commands of `tendon dataset`.
 #[derive(Debug, Subcommand)]
@@ -148,18 +148,36 @@ pub fn build_shown(
     recordings: &[PathBuf],
     out: &Path,
 ) -> Result<(Manifest, u64), Failure> {
-    let mut display = Display::new();
+    let mut progress = None;
     let mut resumed_windows = 0;
-    let mut show = |progress: Progress<'_>| {
-        if let Progress::Begun { windows, .. } = progress {
-            resumed_windows = windows;
+    let mut show = |build: BuildProgress<'_>| {
+        match build {
+            BuildProgress::Begun { total, resumed, windows, is_other } => {
+                resumed_windows = windows;
+                tell_beginning(total, resumed, windows, is_other);
+                progress.insert(Progress::of(total, "recordings")).go_on_from(resumed);
+            }
+            BuildProgress::Recording { done, windows, .. } => {
+                if let Some(progress) = &mut progress {
+                    progress.show(done, || format!(", {windows} windows"));
+                }
+            }
         }
-        display.show(&progress);
         ControlFlow::Continue(())
     };
     let built = tendon_recordings::dataset::build(settings, building, recordings, out, &mut show);
-    display.end();
+    drop(progress);
     Ok((built.context("no data set was built").map_err(Failure::input)?, resumed_windows))
+}
+
+#[allow(clippy::print_stderr, reason = "for the person who waits")]
+fn tell_beginning(total: usize, resumed: usize, windows: u64, is_other: bool) {
+    if is_other {
+        eprintln!("an unfinished build of other settings or recordings is there: building anew");
+    }
+    if resumed > 0 {
+        eprintln!("{resumed} of {total} recordings are there already, {windows} windows: going on");
+    }
 }
 
 /// Builds a data set.
@@ -224,57 +242,4 @@ fn columns(onsets: &OnsetStatistics) -> String {
 
 fn list_of(people: &[u16]) -> String {
     people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
-}
-
-/// Time between two lines of progress, where a bar cannot be drawn.
-const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
-
-/// Shows how far a build has come, on standard error: a bar, or now and then a line if that is no terminal.
-struct Display {
-    bar: ProgressBar,
-    next_line: Instant,
-}
-
-impl Display {
-    fn new() -> Display {
-        let style = ProgressStyle::with_template(
-            "{bar:30} {pos}/{len} recordings, {msg} windows, {elapsed}, {eta} to go",
-        )
-        .expect("the template is well formed");
-        let bar = ProgressBar::no_length().with_style(style);
-        Display { bar, next_line: Instant::now() + PROGRESS_INTERVAL }
-    }
-
-    #[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
-    fn show(&mut self, progress: &Progress<'_>) {
-        match *progress {
-            Progress::Begun { total, resumed, windows, is_other } => {
-                if is_other {
-                    eprintln!("an unfinished build of other settings or recordings is there: building anew");
-                }
-                if resumed > 0 {
-                    eprintln!(
-                        "{resumed} of {total} recordings are there already, {windows} windows: going on"
-                    );
-                }
-                self.bar.set_length(total as u64);
-                self.bar.set_position(resumed as u64);
-                // Time to go is that of recordings read now.
-                self.bar.reset_eta();
-                self.bar.set_message(windows.to_string());
-            }
-            Progress::Recording { done, total, windows, .. } => {
-                self.bar.set_message(windows.to_string());
-                self.bar.set_position(done as u64);
-                if self.bar.is_hidden() && Instant::now() >= self.next_line {
-                    self.next_line = Instant::now() + PROGRESS_INTERVAL;
-                    eprintln!("{done}/{total} recordings, {windows} windows");
-                }
-            }
-        }
-    }
-
-    fn end(&self) {
-        self.bar.finish_and_clear();
-    }
 }

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
@@ -21,6 +21,7 @@ use tendon_recordings::{Channel, StoredDataset};
 use tendon_signal::WindowSettings;
 
 use crate::Failure;
+use crate::progress::Progress;
 use crate::run::write_json;
 
 /// Command line of `tendon evaluate`.
@@ -76,8 +77,6 @@ pub struct Scores {
 
 /// Windows between two looks at the clock for the progress line, and at memory that is no longer needed.
 const WINDOWS_A_ROUND: usize = 256;
-/// Time between two lines of progress.
-const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Evaluates a model.
 pub fn evaluate(options: &Options) -> Result<(), Failure> {
@@ -137,10 +136,11 @@ pub fn score_dataset(
     let people = chosen_people(&known, wanted, &trained).map_err(Failure::input)?;
     let mut scorer = Scorer::new(classifier, people);
     let windows = dataset.len();
+    let mut progress = Progress::of(windows, "windows");
     for index in 0..windows {
         if index % WINDOWS_A_ROUND == 0 {
             dataset.release_before(index);
-            scorer.show_progress(|| format!("{index} of {windows} windows"));
+            progress.show(index, String::new);
         }
         let window = Window {
             samples: dataset.window(index),
@@ -196,10 +196,11 @@ pub fn score_recordings(
     let recordings: Vec<_> =
         found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
     let mut scorer = Scorer::new(classifier, people);
+    let mut progress = Progress::of(recordings.len(), "recordings");
     let mut trials_before = 0;
     let mut samples = 0;
     for (index, recording) in recordings.iter().enumerate() {
-        scorer.show_progress(|| format!("{index} of {} recordings", recordings.len()));
+        progress.show(index, String::new);
         // A recording that cannot be read to its end counts for nothing.
         let before = scorer.tally.clone();
         let mut result = Ok(());
@@ -279,7 +280,6 @@ struct Scorer {
     tally: Tally,
     sequence: Sequence,
     start: Instant,
-    next_progress: Instant,
 }
 
 impl Scorer {
@@ -293,7 +293,6 @@ impl Scorer {
             people,
             tally,
             start,
-            next_progress: start + PROGRESS_INTERVAL,
         }
     }
 
@@ -309,14 +308,6 @@ impl Scorer {
         let origin = Origin { person: window.person, repetition: window.repetition };
         self.tally.record(truth, origin, Answer { probabilities, work_ns });
         Ok(())
-    }
-
-    #[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
-    fn show_progress(&mut self, done: impl FnOnce() -> String) {
-        if Instant::now() >= self.next_progress {
-            self.next_progress += PROGRESS_INTERVAL;
-            eprintln!("{}", done());
-        }
     }
 
     fn finish(

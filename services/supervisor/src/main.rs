@@ -16,6 +16,7 @@ mod experiments;
 mod latency;
 mod order;
 mod profile;
+mod progress;
 mod resources;
 mod run;
 mod screen;

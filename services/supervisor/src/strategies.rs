@@ -8,7 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
@@ -22,10 +22,8 @@ use tendon_recordings::{Channel, ReplayStream};
 use tendon_signal::{Activity, SignalChain};
 
 use crate::Failure;
+use crate::progress::Progress;
 use crate::run::{StrategyOption, write_json};
-
-/// Time between two lines of progress.
-const PROGRESS_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Command line of `tendon strategies`.
 #[derive(Debug, Args)]
@@ -225,12 +223,9 @@ pub fn score_strategy(
     recordings: &[WithTrials],
 ) -> anyhow::Result<StrategyScores> {
     let mut tally = StrategyTally::new(settings.sample_rate_hz);
-    let mut next_progress = Instant::now() + PROGRESS_INTERVAL;
+    let mut progress = Progress::of(recordings.len(), "recordings");
     for (index, WithTrials { recording, trials }) in recordings.iter().enumerate() {
-        if Instant::now() >= next_progress {
-            next_progress += PROGRESS_INTERVAL;
-            show_progress(config.decision.strategy, index, recordings.len());
-        }
+        progress.show(index, || format!(", strategy {}", config.decision.strategy.name()));
         let stream = recording.stream(settings, config.acquisition.block_samples)?;
         let (cues, steps) =
             run(config, recogniser, stream, trials).with_context(|| recording.path.display().to_string())?;
@@ -302,9 +297,4 @@ fn run(
         cues[index].end = cues.get(index + 1).map_or(end, |next| next.start);
     }
     Ok((cues, steps))
-}
-
-#[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
-fn show_progress(strategy: Strategy, done: usize, recordings: usize) {
-    eprintln!("{}: {done} of {recordings} recordings", strategy.name());
 }
