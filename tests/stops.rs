@@ -302,6 +302,41 @@ fn an_error_of_the_arm_is_told_and_needs_arming() {
     rig.end();
 }
 
+/// The arm goes along y by itself at this speed; what stops it, and `tendon arm` after that.
+fn run_away(along_y_mm_per_s: i16, reason: StopReason) {
+    let mut rig = Rig::start(TO_AND_FRO);
+    rig.wait_for_full_speed();
+    rig.emulator.inject(Fault::Runaway(along_y_mm_per_s));
+    let state = rig.wait_for_reason(reason);
+    assert_eq!(Permission::from_number(state.permission), Permission::Stopped);
+    assert!(rig.time_to_rest() < PATIENCE);
+    rig.assert_stays_at_rest(Duration::from_secs(1));
+    rig.order("arm");
+    rig.wait_for_full_speed();
+    rig.end();
+}
+
+#[test]
+fn an_arm_that_is_too_fast_is_stopped() {
+    run_away(300, StopReason::OverSpeed);
+}
+
+#[test]
+fn an_arm_that_leaves_the_workspace_is_stopped_and_can_be_driven_back() {
+    run_away(-140, StopReason::WorkspaceBox);
+}
+
+#[test]
+fn a_joint_limit_of_the_arm_is_told() {
+    let mut rig = Rig::start(TO_AND_FRO);
+    rig.wait_for_full_speed();
+    rig.emulator.inject(Fault::Error(23));
+    assert!(rig.time_to_rest() < PATIENCE);
+    assert_eq!(rig.wait_for_reason(StopReason::ArmFault).fault_code, 23);
+    rig.assert_stays_at_rest(Duration::from_secs(1));
+    rig.end();
+}
+
 #[test]
 fn the_emergency_stop_button_needs_releasing_and_arming() {
     let mut rig = Rig::start(TO_AND_FRO);

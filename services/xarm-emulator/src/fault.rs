@@ -16,6 +16,8 @@ pub enum Fault {
     Error(u8),
     /// `warning CODE`: any warning.
     Warning(u8),
+    /// `runaway MM_PER_S`: the flange goes along y whatever it is told, until the arm is stopped.
+    Runaway(i16),
     /// `drop`: all connections are cut.
     Drop,
     /// `late MS [COUNT]`: the next replies come so much later.
@@ -31,7 +33,7 @@ pub enum Fault {
 /// A line that is no fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{line}` is no fault: write emergency-stop, release, collision, error CODE, warning CODE, drop, \
+    "`{line}` is no fault: write emergency-stop, release, collision, error CODE, warning CODE, runaway MM_PER_S, drop, \
      late MS [COUNT], torn [COUNT], garbage [COUNT] or silent [COUNT]"
 )]
 pub struct FaultError {
@@ -57,6 +59,10 @@ impl FromStr for Fault {
             Some("drop") => (Fault::Drop, 1),
             Some("error") => (Fault::Error(code()?), 2),
             Some("warning") => (Fault::Warning(code()?), 2),
+            Some("runaway") => {
+                let speed = words.get(1).and_then(|word| word.parse().ok()).ok_or_else(wrong)?;
+                (Fault::Runaway(speed), 2)
+            }
             Some("late") => {
                 let ms = words.get(1).and_then(|word| word.parse().ok()).ok_or_else(wrong)?;
                 (Fault::Late(Duration::from_millis(ms), count(2)?), 3)
@@ -128,7 +134,8 @@ mod tests {
         assert_eq!("late 300 2".parse(), Ok(late));
         assert_eq!("torn".parse(), Ok(Fault::Torn(1)));
         assert_eq!("error 23".parse(), Ok(Fault::Error(23)));
-        for wrong in ["", "late", "error 0", "error 300", "drop it", "boom"] {
+        assert_eq!("runaway -150".parse(), Ok(Fault::Runaway(-150)));
+        for wrong in ["", "late", "error 0", "error 300", "drop it", "runaway", "boom"] {
             assert!(wrong.parse::<Fault>().is_err(), "{wrong}");
         }
     }

@@ -139,6 +139,7 @@ impl Emulator {
             Fault::Collision => self.shared.model().fail(model::code::COLLISION),
             Fault::Error(code) => self.shared.model().fail(code),
             Fault::Warning(code) => self.shared.model().warn(code),
+            Fault::Runaway(along_y_mm_per_s) => self.shared.model().run_away(along_y_mm_per_s.into()),
             Fault::Drop => self.shared.drop_connections(),
             Fault::Late(..) | Fault::Torn(_) | Fault::Garbage(_) | Fault::Silent(_) => {
                 lock(&self.shared.reply_faults).add(fault);

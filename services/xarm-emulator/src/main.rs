@@ -10,7 +10,7 @@ use tendon_xarm_emulator::{Emulator, Fault, Listen};
 /// An xArm7 that is not there, for the vendor's clients and for Tendon.
 ///
 /// Reads lines from its standard input: `state` prints how the arm is, `quit` ends it, and these make something go
-/// wrong: emergency-stop, release, collision, error CODE, warning CODE, drop, late MS COUNT, torn COUNT,
+/// wrong: emergency-stop, release, collision, error CODE, warning CODE, runaway MM_PER_S, drop, late MS COUNT, torn COUNT,
 /// garbage COUNT, silent COUNT. Without an input it runs until it is killed.
 #[derive(Debug, Parser)]
 #[command(version)]

@@ -96,6 +96,8 @@ pub struct Model {
     flange_velocity: Vector6<f64>,
     joint_velocities_rad_per_s: JointVector,
     target: Target,
+    /// The target is kept whatever is ordered, until the arm is stopped.
+    runs_away: bool,
     /// When the target becomes rest.
     deadline_ns: Option<u64>,
     settled_at_ns: u64,
@@ -123,6 +125,7 @@ impl Model {
             flange_velocity: Vector6::zeros(),
             joint_velocities_rad_per_s: JointVector::zeros(),
             target: Target::Rest,
+            runs_away: false,
             deadline_ns: None,
             settled_at_ns: now_ns,
             motors_on: [false; 7],
@@ -228,7 +231,7 @@ impl Model {
         if !self.is_ready() || self.mode != mode {
             return if self.error != 0 || self.mode == mode { Taken::Yes } else { Taken::Invalid };
         }
-        if self.time_ns < self.settled_at_ns {
+        if self.time_ns < self.settled_at_ns || self.runs_away {
             return Taken::Yes;
         }
         self.target = target;
@@ -236,6 +239,16 @@ impl Model {
             .filter(|&duration_s| duration_s > 0.0)
             .map(|duration_s| self.time_ns.saturating_add((f64::from(duration_s) * 1e9) as u64));
         Taken::Yes
+    }
+
+    /// The flange goes along y (mm/s) whatever is ordered, until the arm is stopped: as if somebody else drove it.
+    pub fn run_away(&mut self, along_y_mm_per_s: f64) {
+        self.rest();
+        self.target = Target::Flange {
+            twist: Vector6::new(0.0, along_y_mm_per_s, 0.0, 0.0, 0.0, 0.0),
+            frame: TwistFrame::Base,
+        };
+        self.runs_away = true;
     }
 
     /// Clears the error, unless the emergency stop is still pressed.
@@ -390,6 +403,7 @@ impl Model {
     fn rest(&mut self) {
         self.target = Target::Rest;
         self.deadline_ns = None;
+        self.runs_away = false;
     }
 
     /// Stands still at once.
