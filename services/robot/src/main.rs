@@ -49,7 +49,7 @@ fn main() -> ExitCode {
             Backend::Simulate => {
                 Box::new(SimulatedArm::new(config.robot.arm.clone(), start_of_time(delivery))?)
             }
-            Backend::XArm => Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm)?),
+            Backend::XArm => Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, now_ns())?),
         };
         let never = Arc::new(AtomicBool::new(false));
         let robot = Robot {

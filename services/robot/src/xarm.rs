@@ -76,8 +76,8 @@ pub struct XArm {
 }
 
 impl XArm {
-    /// Begins to connect.
-    pub fn connect(xarm: &XArmSettings, arm: &ArmSettings) -> anyhow::Result<XArm> {
+    /// Begins to connect, at the time `now_ns`.
+    pub fn connect(xarm: &XArmSettings, arm: &ArmSettings, now_ns: u64) -> anyhow::Result<XArm> {
         let address = xarm.address.context("robot.xarm.address is missing")?;
         let settings = ClientSettings {
             control: SocketAddr::new(address, xarm.control_port),
@@ -97,7 +97,7 @@ impl XArm {
             gripper_open_pulses: arm.gripper_open_pulses,
             gripper_closed_pulses: arm.gripper_closed_pulses,
             connecting_since_ns: None,
-            stepped_ns: 0,
+            stepped_ns: now_ns,
             zeros_sent: LAST_ZEROS,
             is_explained: false,
             position_before_mm: [0.0; 3],
@@ -174,8 +174,11 @@ impl XArm {
         self.phase = Phase::GoingToStart(speed);
     }
 
-    fn follow(&mut self, joints_rad: &JointVector, now_ns: u64) {
-        let twist = self.motion.advance(now_ns, joints_rad);
+    fn follow(&mut self, joints_rad: &JointVector, steps: u64) {
+        for step in (0..steps).rev() {
+            self.motion.advance(self.stepped_ns - step * STEP_NS, joints_rad);
+        }
+        let twist = self.motion.velocity();
         self.zeros_sent = if twist == Twist::ZERO { self.zeros_sent + 1 } else { 0 };
         if self.zeros_sent <= LAST_ZEROS {
             let [x, y, z] = twist.linear_mm_per_s;
@@ -197,10 +200,12 @@ impl Arm for XArm {
     }
 
     fn tick(&mut self, now_ns: u64) -> Result<(), Stop> {
-        if now_ns.saturating_sub(self.stepped_ns) < STEP_NS {
+        let steps = now_ns.saturating_sub(self.stepped_ns) / STEP_NS;
+        if steps == 0 {
             return Ok(());
         }
-        self.stepped_ns = now_ns;
+        // A late tick does not shift those after it: ramps and stops take their time and no longer.
+        self.stepped_ns += steps * STEP_NS;
         self.status = self.client.status();
         self.measure_speed(now_ns);
         let is_up = self.status.phase == tendon_xarm::Phase::Ready;
@@ -231,7 +236,7 @@ impl Arm for XArm {
                 self.go_to_start(&joints_rad, speed_rad_per_s, now_ns);
             }
             Phase::EnablingFlange if is_up => self.phase = Phase::Following,
-            Phase::Following => self.follow(&joints_rad, now_ns),
+            Phase::Following => self.follow(&joints_rad, steps),
             _ => {}
         }
         Ok(())
