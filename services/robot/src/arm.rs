@@ -53,9 +53,6 @@ pub trait Arm {
     /// Gets ready again after a [`Arm::stop`] or what stopped it; [`Arm::is_ready`] tells.
     fn rearm(&mut self, now_ns: u64);
 
-    /// Whether the last command ran out and none has come since.
-    fn halted_by_watchdog(&self) -> bool;
-
     /// Whether nothing moves and nothing is told to.
     fn is_still(&self) -> bool;
 
@@ -98,10 +95,6 @@ impl Arm for SimulatedArm {
     }
 
     fn rearm(&mut self, _now_ns: u64) {}
-
-    fn halted_by_watchdog(&self) -> bool {
-        self.state().halted_by_watchdog
-    }
 
     fn is_still(&self) -> bool {
         SimulatedArm::is_still(self)

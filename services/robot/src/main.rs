@@ -209,14 +209,14 @@ impl Robot {
         if let Err(stop) = self.arm.tick(now_ns) {
             self.stop(stop);
         }
+        let state = self.arm.state();
         if self.arm.is_ready() && self.latch.permission() != Permission::Stopped {
-            let state = self.arm.state();
             let joints_rad = JointVector::from(state.joints_rad);
             if let Err(violation) = self.guard.check(now_ns, &joints_rad, state.position_mm) {
                 self.stop(Stop::because(reason_of(violation)));
             }
         }
-        if self.arm.halted_by_watchdog() {
+        if state.halted_by_watchdog {
             self.latch.interrupt(StopReason::NoCommands);
         }
         let is_silent = |heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS;

@@ -274,10 +274,6 @@ impl Arm for XArm {
         self.bring_up(Mode::CartesianVelocity, Phase::EnablingFlange, now_ns);
     }
 
-    fn halted_by_watchdog(&self) -> bool {
-        self.motion.halted_by_watchdog()
-    }
-
     fn is_still(&self) -> bool {
         matches!(self.phase, Phase::Following | Phase::Stopped)
             && self.motion.is_still()
