@@ -16,8 +16,9 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use tendon_gesture::Gesture;
 use tendon_messages::{Permission, STATES, Stage, StateHeader, StopReason};
-use tendon_system_tests::{Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until};
+use tendon_system_tests::{Ended, Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until};
 use tendon_transport::{Delivery, Session, SessionName, Subscriber};
 use tendon_xarm_emulator::{Emulator, Fault, Listen};
 
@@ -124,12 +125,12 @@ impl Rig {
         ended.output
     }
 
-    fn end(self) {
+    fn end(self) -> Ended {
         let Rig { tendon, states, _membership, .. } = self;
         drop(states);
         drop(_membership);
         tendon.signal(Signal::SIGTERM);
-        let _ = tendon.end();
+        tendon.end()
     }
 }
 
@@ -230,7 +231,7 @@ fn a_new_session_does_not_move_before_the_first_rest() {
     let mut rig = Rig::start("flexion 3s, rest 1s, flexion 3s");
     // Commands come, for a gesture; none of them moves the arm.
     let refused = wait_until("a command for flexion", || {
-        rig.state().filter(|state| state.gesture == tendon_gesture::Gesture::Flexion as u8)
+        rig.state().filter(|state| state.gesture == Gesture::Flexion as u8)
     });
     assert_eq!(Permission::from_number(refused.permission), Permission::AwaitRest);
     assert_eq!(rig.speed_mm_per_s(), 0.0);
@@ -256,6 +257,19 @@ fn tendon_stop_stops_and_tendon_arm_goes_on_after_a_rest() {
     rig.order("arm");
     rig.wait_for_full_speed();
     rig.end();
+}
+
+#[test]
+fn the_path_to_the_wire_allocates_nothing_once_warm() {
+    let mut rig = Rig::start(TO_AND_FRO);
+    for gesture in [Gesture::Ulnar, Gesture::Radial, Gesture::Ulnar] {
+        wait_until("a gesture", || rig.state().filter(|state| state.gesture == gesture as u8));
+        rig.wait_for_full_speed();
+    }
+    let report = rig.end().report();
+    assert_eq!(report.allocations["robot"], 0);
+    assert_eq!(report.robot, "xarm");
+    assert!(report.control_tick.count > 500, "{:?}", report.control_tick);
 }
 
 #[test]

@@ -360,7 +360,6 @@ struct Control {
     shared: Arc<Shared>,
     settings: ClientSettings,
     stream: Option<TcpStream>,
-    decoder: Decoder,
     transaction: u16,
     request: Vec<u8>,
     outstanding: Option<Outstanding>,
@@ -388,7 +387,6 @@ impl Control {
             shared,
             settings,
             stream: None,
-            decoder: Decoder::new(),
             transaction: 0,
             request: Vec::with_capacity(64),
             outstanding: None,
@@ -407,12 +405,13 @@ impl Control {
     }
 
     fn run(mut self) {
+        let mut decoder = Decoder::new();
         while !self.shared.ended.load(Ordering::SeqCst) {
             if self.stream.is_none() && Instant::now() >= self.connect_due {
-                self.connect();
+                self.connect(&mut decoder);
             }
             self.take_orders();
-            if self.turn().is_err() {
+            if self.turn(&mut decoder).is_err() {
                 self.disconnect();
             }
             self.wait();
@@ -423,7 +422,7 @@ impl Control {
         }
     }
 
-    fn connect(&mut self) {
+    fn connect(&mut self, decoder: &mut Decoder) {
         let connected = TcpStream::connect_timeout(&self.settings.control, self.settings.connect_timeout)
             .and_then(|stream| {
                 stream.set_nodelay(true)?;
@@ -433,7 +432,7 @@ impl Control {
         match connected {
             Ok(stream) => {
                 self.stream = Some(stream);
-                self.decoder = Decoder::new();
+                decoder.give_up();
                 self.errors_wanted = true;
                 self.keep_alive_due = Instant::now();
                 self.timeouts_in_a_row = 0;
@@ -502,15 +501,15 @@ impl Control {
     }
 
     /// Reads what came, then sends what is due.
-    fn turn(&mut self) -> Result<(), Broken> {
+    fn turn(&mut self, decoder: &mut Decoder) -> Result<(), Broken> {
         if self.stream.is_none() {
             return Ok(());
         }
         // A stop waits for nothing, not even for what came.
         self.send_stop()?;
-        self.read()?;
+        self.read(decoder)?;
         self.look_at_reports();
-        self.expire()?;
+        self.expire(decoder)?;
         if self.outstanding.is_none() {
             self.send_next()?;
         }
@@ -601,7 +600,7 @@ impl Control {
         }
     }
 
-    fn read(&mut self) -> Result<(), Broken> {
+    fn read(&mut self, decoder: &mut Decoder) -> Result<(), Broken> {
         let mut buffer = [0; 2048];
         loop {
             let Some(stream) = self.stream.as_mut() else { return Ok(()) };
@@ -613,7 +612,6 @@ impl Control {
                 Err(_) => return Err(Broken),
             };
             let mut input = &buffer[..length];
-            let mut decoder = std::mem::take(&mut self.decoder);
             let skipped = decoder.skipped_bytes();
             while let Some(frame) = decoder.next_frame(&mut input) {
                 match Reply::parse(&frame) {
@@ -622,7 +620,6 @@ impl Control {
                 }
             }
             lock(&self.shared.status).garbage_bytes += decoder.skipped_bytes() - skipped;
-            self.decoder = decoder;
         }
     }
 
@@ -725,12 +722,12 @@ impl Control {
     }
 
     /// Gives up requests whose time is over.
-    fn expire(&mut self) -> Result<(), Broken> {
+    fn expire(&mut self, decoder: &mut Decoder) -> Result<(), Broken> {
         let Some(outstanding) = self.outstanding.filter(|one| Instant::now() >= one.deadline) else {
             return Ok(());
         };
         self.outstanding = None;
-        self.decoder.give_up();
+        decoder.give_up();
         self.timeouts_in_a_row += 1;
         lock(&self.shared.status).timeouts += 1;
         if outstanding.purpose == Purpose::Velocity && self.timeouts_in_a_row < MOST_TIMEOUTS {
