@@ -337,7 +337,7 @@ fn an_arm_that_is_too_fast_is_stopped() {
 
 #[test]
 fn an_arm_that_leaves_the_workspace_is_stopped_and_can_be_driven_back() {
-    run_away(-140, StopReason::WorkspaceBox);
+    run_away(-110, StopReason::WorkspaceBox);
 }
 
 #[test]

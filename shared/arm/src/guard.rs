@@ -11,8 +11,9 @@ const JOINT_TOLERANCE_RAD: f64 = 0.01;
 /// A reported position may be so far out of the workspace, in mm.
 const BOX_TOLERANCE_MM: f64 = 2.0;
 
-/// Speed is measured between reports that are at least this far apart, in ns.
-const SPEED_OVER_NS: u64 = 50_000_000;
+/// Speed is measured between reports that are at least this far apart, in ns: one that comes 50 ms late, on a busy
+/// machine, must not look like a fast arm.
+const SPEED_OVER_NS: u64 = 100_000_000;
 
 /// An arm is not where, or not as fast, as it should be.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -182,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn too_fast_is_found_within_100_ms_and_only_over_50() {
+    fn too_fast_is_found_over_100_ms() {
         let (mut guard, joints) = guard();
         let at = |speed_mm_per_s: f64, ms: u64| [300.0 + speed_mm_per_s * ms as f64 * 1e-3, 0.0, 300.0];
         for ms in (0..=2000).step_by(4) {
@@ -190,8 +191,8 @@ mod tests {
         }
         guard.reset();
         let found_ms = (0..1000).step_by(4).find(|&ms| guard.check(ms * MS, &joints, at(175.0, ms)).is_err());
-        assert_eq!(found_ms, Some(52));
-        // A jump within less than 50 ms is an outlier of the report, or shows in the next measurement.
+        assert_eq!(found_ms, Some(100));
+        // A jump within less than 100 ms is an outlier of the report, or shows in the next measurement.
         guard.reset();
         assert_eq!(guard.check(0, &joints, [300.0, 0.0, 300.0]), Ok(()));
         assert_eq!(guard.check(4 * MS, &joints, [305.0, 0.0, 300.0]), Ok(()));
