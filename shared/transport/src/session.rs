@@ -381,7 +381,15 @@ impl Leftovers {
     /// its processes: files of living ones would be pulled from under them. Returns how many files went.
     pub fn remove(_lock: &SessionLock, session: &SessionName) -> usize {
         let before = Leftovers::of(session).files.len();
-        // First iceoryx2's own way, which knows in which order things go; then what even that left.
+        // A process that was killed while it made a segment of shared memory leaves it empty, and iceoryx2 0.10 would
+        // wait for ever for it to be filled.
+        for file in Leftovers::of(session).files {
+            let is_empty = std::fs::metadata(&file).is_ok_and(|metadata| metadata.len() == 0);
+            if is_empty && file.starts_with(shared_memory_directory()) {
+                let _ = std::fs::remove_file(file);
+            }
+        }
+        // Then iceoryx2's own way, which knows in which order things go; then what even that left.
         // Should the list fail, the files still go.
         let _ = Node::<ipc::Service>::list(&session.config(), |state| {
             if let NodeState::Dead(dead) = state {
