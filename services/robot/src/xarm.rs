@@ -19,7 +19,7 @@ use tendon_arm::{
 };
 use tendon_config::XArmSettings;
 use tendon_messages::StopReason;
-use tendon_xarm::{Client, ClientSettings, Fault, Halt, Mode, Source, Status, Velocity};
+use tendon_xarm::{Client, ClientSettings, Fault, Halt, Mode, Status, Velocity};
 
 use crate::arm::{Arm, Stop};
 
@@ -133,7 +133,7 @@ impl XArm {
     fn look_after(&self) -> Result<(), Stop> {
         if let Some(halt) = self.status.halt {
             // An error says more than that the arm is not ready.
-            return Err(self.fault().map_or(stop_of(halt), stop_for));
+            return Err(self.status.error().map_or(stop_of(halt), stop_for));
         }
         let is_fresh = self.status.reported_at.is_some_and(|at| at.elapsed() < REPORT_TIMEOUT);
         if is_fresh { Ok(()) } else { Err(Stop::because(StopReason::ConnectionBroke)) }
@@ -145,13 +145,9 @@ impl XArm {
         self.stepped_ns = now_ns + ORDER_TAKEN_NS;
     }
 
-    fn fault(&self) -> Option<Fault> {
-        self.status.fault.filter(|fault| fault.source == Source::Controller)
-    }
-
     /// That the arm stopped is known before its error is, which says why.
     fn say_more(&mut self) -> Result<(), Stop> {
-        match self.fault() {
+        match self.status.error() {
             Some(fault) if !self.is_explained => {
                 self.is_explained = true;
                 Err(stop_for(fault))
@@ -225,7 +221,7 @@ impl Arm for XArm {
         let looked_after = self.look_after();
         if looked_after.is_err() {
             self.phase = Phase::Stopped;
-            self.is_explained = self.fault().is_some();
+            self.is_explained = self.status.error().is_some();
             self.motion.halt();
         }
         looked_after?;

@@ -146,6 +146,13 @@ pub struct Status {
     pub connections: u64,
 }
 
+impl Status {
+    /// The error of the arm's controller, which stops it; a warning does not.
+    pub fn error(&self) -> Option<Fault> {
+        self.fault.filter(|fault| fault.source == Source::Controller)
+    }
+}
+
 /// A velocity to follow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Velocity {
@@ -706,8 +713,7 @@ impl Control {
             return;
         }
         let status = *lock(&self.shared.status);
-        let fault = status.fault.filter(|fault| fault.source == Source::Controller);
-        if let Some(fault) = fault {
+        if let Some(fault) = status.error() {
             self.halt(Halt::Fault(fault));
         } else if let Some(report) = status.report.filter(|report| !report.state.is_ready()) {
             // Asked first: an error says more than the state that it leads to.

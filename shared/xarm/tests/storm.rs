@@ -9,6 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use rand::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
 use tendon_xarm::{Client, ClientSettings, Mode, Velocity};
 
 /// What does not come within this time never does.
@@ -16,15 +18,12 @@ const WATCHDOG: Duration = Duration::from_secs(60);
 /// Frames between two breaks of a connection.
 const FRAMES_A_CONNECTION: u64 = 20_000;
 
-/// Bits that are the same each time: xorshift.
-struct Bits(u64);
+/// Where the server's frames come from: the same each time.
+struct Frames(Xoshiro256PlusPlus);
 
-impl Bits {
+impl Frames {
     fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
+        self.0.next_u64()
     }
 
     /// A frame of up to 40 bytes after its length, a third of them damaged.
@@ -65,7 +64,7 @@ struct Storm {
 
 impl Storm {
     /// Sends frames on one connection until it is broken, or the storm is over.
-    fn rage(&self, stream: &mut TcpStream, bits: &mut Bits, is_control: bool) -> std::io::Result<()> {
+    fn rage(&self, stream: &mut TcpStream, bits: &mut Frames, is_control: bool) -> std::io::Result<()> {
         let (mut sent, mut request, mut piece) = (0, [0; 4096], Vec::new());
         let mut transaction = 1;
         stream.set_nonblocking(true)?;
@@ -111,7 +110,7 @@ impl Storm {
         let address = listener.local_addr().unwrap();
         let storm = Arc::clone(self);
         std::thread::spawn(move || {
-            let mut bits = Bits(seed);
+            let mut bits = Frames(Xoshiro256PlusPlus::seed_from_u64(seed));
             for stream in listener.incoming() {
                 let mut stream = stream.unwrap();
                 // A client that hangs up is what storms are for.
@@ -142,7 +141,7 @@ fn survive(frames: u64) {
         ..ClientSettings::new(Ipv4Addr::LOCALHOST.into())
     };
     let client = Client::start(settings).unwrap();
-    let mut bits = Bits(4);
+    let mut bits = Frames(Xoshiro256PlusPlus::seed_from_u64(4));
     let before_mb = resident_mb();
     let (mut newest, mut newest_at) = (0, Instant::now());
     while newest < frames {
