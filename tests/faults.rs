@@ -1,5 +1,5 @@
-//! Sessions in which something goes wrong: stages that stall or die, a supervisor that dies, samples that are
-//! no numbers.
+//! Sessions in which something goes wrong: stages that stall, die and are started again, a supervisor that dies,
+//! samples that are no numbers.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
 use std::os::fd::AsFd;
@@ -13,9 +13,9 @@ use tendon_config::{Config, Pace, Source};
 use tendon_gesture::Gesture;
 use tendon_messages::{
     Activity, BLOCKS, BlockHeader, COMMANDS, CommandHeader, MEASUREMENTS, Measurement, MeasurementHeader,
-    STATES, Stage, StateHeader, StopReason, Trace, WINDOWS, WindowHeader,
+    Permission, STATES, Stage, StateHeader, StopReason, Trace, WINDOWS, WindowHeader,
 };
-use tendon_system_tests::recordings::{CHANNELS, MOVEMENT, PseudoEmg, REST};
+use tendon_system_tests::recordings::{CHANNELS, MOVEMENT, PseudoEmg, REST, Stretch, write_table};
 use tendon_system_tests::{
     StageAlone, TendonBuilder, WATCHDOG, assert_nothing_left, is_alive, model, unique_session, wait_until,
 };
@@ -37,6 +37,8 @@ struct Observer {
     commands_seen: Vec<Trace>,
     /// Commands that the arm acted on later than allowed.
     acted_late: u64,
+    /// The arm was seen following commands.
+    followed: bool,
     /// The arm was seen stopped because no command had come.
     halted: bool,
     // Ports are closed before the membership they belong to.
@@ -53,6 +55,7 @@ impl Observer {
             blocks_seen: 0,
             commands_seen: Vec::new(),
             acted_late: 0,
+            followed: false,
             halted: false,
             _session: session,
         }
@@ -89,6 +92,7 @@ impl Observer {
             let trace = state.header().trace;
             let received_ns = trace.received_ns[Stage::Robot.index()];
             self.acted_late += u64::from(received_ns.saturating_sub(trace.captured_ns) > STALE_NS);
+            self.followed |= state.header().permission == Permission::Granted as u8;
             self.halted |= state.header().stop_reason == StopReason::NoCommands as u8;
         }
     }
@@ -108,10 +112,10 @@ impl Observer {
 /// Stalls one stage of a session for three seconds.
 fn stall(stage: Stage) {
     let session = unique_session();
-    let mut tendon = TendonBuilder::run(&session).start();
+    let mut tendon = TendonBuilder::run(&session).args(&["--set", "dsp.activity.calibration_s=1.0"]).start();
     tendon.wait_until_running();
     let mut observer = Observer::join(&session);
-    observer.look_on_until("commands", |observer| observer.commands_seen.len() >= 10);
+    observer.look_on_until("an arm that follows commands", |observer| observer.followed);
 
     let process = tendon.stage(stage.name());
     let blocks_before = observer.blocks_seen;
@@ -162,17 +166,62 @@ fn a_robot_that_stalls_holds_nobody_up_and_acts_on_nothing_old() {
 }
 
 #[test]
-fn a_stage_that_dies_ends_the_session_by_name() {
-    for stage in ["acquisition", "inference", "robot"] {
-        let mut tendon = TendonBuilder::run(&unique_session()).start();
-        tendon.wait_until_running();
-        let stages = tendon.stages();
-        assert_eq!(stages.len(), Stage::ALL.len());
-        kill(tendon.stage(stage), Signal::SIGKILL).unwrap();
-        let ended = tendon.end();
-        ended.assert_failed(1, &["tendon: error:", &format!("{stage} ended"), "the session is stopped"]);
-        assert!(!stages.into_iter().any(is_alive), "stages outlived the session");
+fn a_stage_that_dies_is_started_again_by_name_and_what_it_missed_is_counted() {
+    let session = unique_session();
+    let mut tendon = TendonBuilder::run(&session).start();
+    tendon.wait_until_running();
+    let mut observer = Observer::join(&session);
+    observer.look_on_until("commands", |observer| observer.commands_seen.len() >= 10);
+    let mut processes = tendon.stages();
+    assert_eq!(processes.len(), Stage::ALL.len());
+    for stage in Stage::ALL {
+        let process = tendon.stage(stage.name());
+        kill(process, Signal::SIGKILL).unwrap();
+        let successor = wait_until("the stage to be started again", || {
+            tendon.find_stage(stage.name()).filter(|successor| *successor != process)
+        });
+        processes.push(successor);
+        let killed_ns = now_ns();
+        observer.look_on_until("commands once more", |observer| observer.commands_since(killed_ns) >= 10);
+        let says = format!("{} ended (signal: 9 (SIGKILL)) and is started again", stage.name());
+        assert!(tendon.errors_so_far().contains(&says), "{}", tendon.errors_so_far());
     }
+    assert!(observer.late_commands().is_empty(), "{:#?}", observer.late_commands());
+    assert_eq!(observer.acted_late, 0, "the arm acted on old commands");
+    drop(observer);
+    tendon.signal(Signal::SIGTERM);
+    let report = tendon.end().report();
+    assert_eq!(report.restarts, Stage::ALL.len() as u64);
+    let blocks = report.messages["blocks"];
+    assert!(blocks.lost > 0 && blocks.lost < blocks.published / 2, "{blocks:?}");
+    assert!(!processes.into_iter().any(is_alive), "stages outlived the session");
+}
+
+#[test]
+fn a_stage_that_dies_again_and_again_ends_the_session_by_name() {
+    let mut tendon = TendonBuilder::run(&unique_session()).start();
+    tendon.wait_until_running();
+    wait_until("the session to give up", || {
+        if let Some(process) = tendon.find_stage("decision") {
+            // It may have ended by itself meanwhile, with the session.
+            let _ = kill(process, Signal::SIGKILL);
+        }
+        tendon.has_ended().then_some(())
+    });
+    tendon.end().assert_failed(1, &["tendon: error:", "decision ended", "the session is stopped"]);
+}
+
+#[test]
+fn a_recording_that_breaks_off_ends_the_session_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("recording.csv");
+    write_table(&recording, &[Stretch { samples: 60_000, amplitudes: REST }]);
+    let builder = TendonBuilder::run(&unique_session()).arg("--replay").arg(recording);
+    let mut tendon = builder.args(&["--replay-rate-hz", "2000"]).start();
+    tendon.wait_until_running();
+    kill(tendon.stage("acquisition"), Signal::SIGKILL).unwrap();
+    // Begun anew it would be another recording.
+    tendon.end().assert_failed(1, &["tendon: error:", "acquisition ended", "the session is stopped"]);
 }
 
 #[test]

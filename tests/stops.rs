@@ -3,7 +3,7 @@
 //! ```text
 //! kill -9, SIGSTOP of a process ─┐
 //! connection cut, arm error ─────┼─▶ flange at rest, and no motion before a rest or `tendon arm`
-//! tendon stop, space bar ────────┘
+//! tendon stop, space bar ────────┘                        (a stage that was killed is started again meanwhile)
 //! ```
 //!
 //! The tests ask for a stop within [`PATIENCE`], which says that the arm was stopped and did not merely come to the
@@ -118,6 +118,15 @@ impl Rig {
         })
     }
 
+    /// Waits until another process stands in for this one of a stage, and the robot says why the arm stopped.
+    fn wait_for_successor(&mut self, stage: Stage, process: Pid) {
+        wait_until("a stage to be started again", || {
+            self.tendon.find_stage(stage.name()).filter(|successor| *successor != process)
+        });
+        let state = self.wait_for_reason(StopReason::StageEnded);
+        assert_eq!(Permission::from_number(state.permission), Permission::Stopped);
+    }
+
     fn order(&self, order: &str) -> String {
         let session = self.session.to_string();
         let ended = TendonBuilder::command(&unique_session(), &[order, "--session", &session]).end();
@@ -159,7 +168,8 @@ impl Victim {
     }
 }
 
-/// Kills a process at full speed; returns the time until the flange was at rest.
+/// Kills a process at full speed; returns the time until the flange was at rest. A stage is started again, and the arm
+/// stays where it is.
 fn kill_at_full_speed(victim: Victim, after: Duration) -> Duration {
     let mut rig = Rig::start(HOLD);
     rig.wait_for_full_speed();
@@ -169,9 +179,18 @@ fn kill_at_full_speed(victim: Victim, after: Duration) -> Duration {
     kill(process, Signal::SIGKILL).unwrap();
     let time = rig.time_to_rest();
     rig.assert_stays_at_rest(Duration::from_millis(300));
-    // The dead one takes the session with it.
-    rig.tendon.end_whatever_is_left();
-    assert_eq!(rig.speed_mm_per_s(), 0.0);
+    match victim {
+        Victim::Stage(stage) => {
+            rig.wait_for_successor(stage, process);
+            rig.assert_stays_at_rest(Duration::from_secs(1));
+            assert_eq!(rig.end().report().restarts, 1);
+        }
+        Victim::Supervisor => {
+            // It takes the session with it.
+            rig.tendon.end_whatever_is_left();
+            assert_eq!(rig.speed_mm_per_s(), 0.0);
+        }
+    }
     time
 }
 
@@ -210,6 +229,26 @@ fn killing_any_process_stops_the_arm() {
         let time = kill_at_full_speed(victim, Duration::ZERO);
         assert!(time < PATIENCE, "{victim:?}: {time:?}");
     }
+}
+
+#[test]
+fn after_the_end_of_a_stage_the_arm_moves_once_armed_and_rested() {
+    let mut rig = Rig::start(TO_AND_FRO);
+    for stage in Stage::ALL {
+        rig.wait_for_full_speed();
+        let process = rig.tendon.stage(stage.name());
+        kill(process, Signal::SIGKILL).unwrap();
+        assert!(rig.time_to_rest() < PATIENCE, "{stage:?}");
+        rig.wait_for_successor(stage, process);
+        let pose = rig.emulator.model().report().pose;
+        // Through rests and gestures, and without a way to the start position.
+        rig.assert_stays_at_rest(Duration::from_secs(4));
+        assert_eq!(rig.emulator.model().report().pose, pose);
+        rig.order("arm");
+    }
+    rig.wait_for_full_speed();
+    let report = rig.end().report();
+    assert_eq!(report.restarts, Stage::ALL.len() as u64);
 }
 
 #[test]

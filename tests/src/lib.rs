@@ -269,9 +269,23 @@ impl Tendon {
 
     /// Process id of one stage.
     pub fn stage(&self, name: &str) -> Pid {
+        self.find_stage(name).unwrap_or_else(|| panic!("{name} does not run"))
+    }
+
+    /// Process id of one stage, if it runs.
+    pub fn find_stage(&self, name: &str) -> Option<Pid> {
         let program = format!("tendon-{name}");
-        let found = children_of(self.process.id()).into_iter().find(|(_, child)| *child == program);
-        found.unwrap_or_else(|| panic!("{program} does not run")).0
+        children_of(self.process.id()).into_iter().find(|(_, child)| *child == program).map(|found| found.0)
+    }
+
+    /// Standard error so far.
+    pub fn errors_so_far(&self) -> String {
+        self.errors.so_far()
+    }
+
+    /// Whether it is over.
+    pub fn has_ended(&mut self) -> bool {
+        self.process.try_wait().unwrap().is_some()
     }
 
     /// Waits for the end, and asserts that nothing is left behind.

@@ -22,6 +22,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, bail};
 use tendon_arm::{GripperCommand as ArmGripper, Guard, JointVector, LimitViolation, SimulatedArm, Twist};
 use tendon_config::Backend;
+use tendon_gesture::Strategy;
 use tendon_messages::{
     COMMANDS, CommandHeader, GripperCommand, Permission, STATE_LENGTH, STATES, Stage, StateHeader,
     StopReason, TWIST_LENGTH, Trace,
@@ -52,9 +53,9 @@ fn main() -> ExitCode {
             Backend::XArm => Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, now_ns())?),
         };
         let never = Arc::new(AtomicBool::new(false));
-        let robot = Robot {
+        let mut robot = Robot {
             arm,
-            latch: Latch::new(),
+            latch: Latch::new(config.decision.strategy == Strategy::Threshold),
             guard: Guard::new(&config.robot.arm),
             states: Publisher::open(&process.session, &STATES, STATE_LENGTH, Delivery::Live, never)?,
             delivery,
@@ -62,8 +63,13 @@ fn main() -> ExitCode {
             supervisor_heard_ns: None,
             woke_ns: now_ns(),
             is_introduced: false,
+            newest_command: None,
             state: StateHeader::default(),
         };
+        if process.is_restarted {
+            // The arm stays where it is until it is armed, instead of going to its start position.
+            robot.stop(Stop::because(StopReason::StageEnded));
+        }
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
         process.connect(&commands)?;
         process.control.listen(process.session.name())?;
@@ -92,6 +98,8 @@ struct Robot {
     woke_ns: u64,
     /// Whether the supervisor knows that the arm is ready.
     is_introduced: bool,
+    /// Sequence number of the newest command.
+    newest_command: Option<u64>,
     /// Of the last command acted on.
     state: StateHeader,
 }
@@ -121,8 +129,7 @@ impl Robot {
                     let was_still = self.arm.is_still();
                     while let Some(command) = commands.receive()? {
                         self.take(process, &command)?;
-                        process.measurements.counts.received = commands.received();
-                        process.measurements.counts.lost = commands.lost();
+                        process.count(&commands);
                     }
                     // A command that sets the still arm in motion goes out at once.
                     if was_still && !self.arm.is_still() {
@@ -150,7 +157,7 @@ impl Robot {
         ended
     }
 
-    /// Tells the supervisor once that the arm is ready.
+    /// Tells the supervisor once that the arm is ready, or, after a restart, that it can be armed.
     ///
     /// # Errors
     ///
@@ -159,7 +166,7 @@ impl Robot {
         if self.is_introduced {
             return Ok(());
         }
-        if self.arm.is_ready() {
+        if self.arm.is_ready() || process.is_restarted {
             self.is_introduced = true;
             return process.ready(&self.arm.description());
         }
@@ -195,6 +202,7 @@ impl Robot {
                 }
                 process.control.answer("armed: the arm moves again once the muscles have been at rest");
             }
+            Order::StageEnded => self.stop(Stop::because(StopReason::StageEnded)),
             Order::Start | Order::Gesture(_) => {}
         }
     }
@@ -233,6 +241,11 @@ impl Robot {
     ) -> anyhow::Result<()> {
         let trace = command.trace();
         let header = command.header();
+        let newest_command = self.newest_command.replace(trace.sequence);
+        if newest_command.is_some_and(|newest| trace.sequence <= newest) {
+            // From a decision process that began anew, whoever started it.
+            self.stop(Stop::because(StopReason::StageEnded));
+        }
         if process.is_stale(&trace) {
             process.measurements.counts.stale += 1;
         } else {

@@ -5,7 +5,7 @@
 //! start ──▶ await rest ─────────────────────────▶ granted
 //!              ▲    ▲ no commands, supervisor silent, process stalled │
 //!     arm order│    └─────────────────────────────────────────────────┤
-//!              │                                                      │ order, arm error, limit
+//!              │                                                      │ order, arm error, limit, end of a stage
 //!           stopped ◀─────────────────────────────────────────────────┘
 //! ```
 //!
@@ -13,7 +13,7 @@
 //! still say what was meant before the interruption.
 
 use tendon_gesture::Gesture;
-use tendon_messages::{CommandHeader, Permission, StopReason};
+use tendon_messages::{Activity, CommandHeader, Permission, StopReason};
 
 use crate::arm::Stop;
 
@@ -28,21 +28,27 @@ pub struct Latch {
     stop: Option<Stop>,
     /// Windows in a row that said rest.
     rests: u32,
+    /// Whether rest is known only once the activity detector is calibrated.
+    needs_calibration: bool,
 }
 
 impl Latch {
-    /// At the start nothing moves before the person has been at rest.
-    pub fn new() -> Latch {
-        Latch { permission: Permission::AwaitRest, stop: None, rests: 0 }
+    /// At the start nothing moves before the person has been at rest. `needs_calibration`: that is known only once the
+    /// activity detector is calibrated.
+    pub fn new(needs_calibration: bool) -> Latch {
+        Latch { permission: Permission::AwaitRest, stop: None, rests: 0, needs_calibration }
     }
 
     /// Whether the arm may follow the command of a window. What grants motion again is rest: intact windows that were
     /// recognised as such. What was voted would not do, as votes begin with rest.
     pub fn admits(&mut self, header: &CommandHeader) -> bool {
-        let is_rest = header.gesture == Gesture::Rest as u8 && header.context.replaced_samples == 0;
+        let is_calibrating = Activity::from_number(header.context.activity) == Activity::Calibrating;
+        let is_rest = header.gesture == Gesture::Rest as u8
+            && header.context.replaced_samples == 0
+            && !(self.needs_calibration && is_calibrating);
         self.rests = if is_rest { self.rests + 1 } else { 0 };
         if self.permission == Permission::AwaitRest && self.rests >= REST_WINDOWS {
-            *self = Latch { permission: Permission::Granted, stop: None, rests: self.rests };
+            *self = Latch { permission: Permission::Granted, stop: None, ..*self };
         }
         self.permission == Permission::Granted
     }
@@ -51,20 +57,20 @@ impl Latch {
     pub fn stop(&mut self, stop: Stop) {
         let says_little = self.stop.is_some_and(|stop| stop.reason == StopReason::NotReady);
         if self.permission != Permission::Stopped || says_little {
-            *self = Latch { permission: Permission::Stopped, stop: Some(stop), rests: 0 };
+            *self = Latch { permission: Permission::Stopped, stop: Some(stop), rests: 0, ..*self };
         }
     }
 
     /// Nothing moves before the person has been at rest.
     pub fn interrupt(&mut self, reason: StopReason) {
         if self.permission == Permission::Granted {
-            *self = Latch { stop: Some(Stop::because(reason)), ..Latch::new() };
+            *self = Latch { stop: Some(Stop::because(reason)), ..Latch::new(self.needs_calibration) };
         }
     }
 
     /// Motion is wanted again: it is granted with the next rest.
     pub fn arm(&mut self) {
-        *self = Latch::new();
+        *self = Latch::new(self.needs_calibration);
     }
 
     pub fn permission(&self) -> Permission {
@@ -93,7 +99,7 @@ mod tests {
 
     #[test]
     fn nothing_moves_at_the_start_before_a_rest() {
-        let mut latch = Latch::new();
+        let mut latch = Latch::new(false);
         let damaged = WindowContext { replaced_samples: 1, ..WindowContext::default() };
         for _ in 0..10 {
             assert!(!latch.admits(&window(Gesture::Flexion)));
@@ -106,8 +112,24 @@ mod tests {
     }
 
     #[test]
+    fn what_is_seen_before_the_calibration_is_over_is_no_rest() {
+        let seen = |activity: Activity| CommandHeader {
+            context: WindowContext { activity: activity as u8, ..WindowContext::default() },
+            ..window(Gesture::Rest)
+        };
+        let mut latch = Latch::new(true);
+        assert!((0..10).all(|_| !latch.admits(&seen(Activity::Calibrating))));
+        assert_eq!(
+            (0..3).map(|_| latch.admits(&seen(Activity::Rest))).collect::<Vec<_>>(),
+            [false, false, true]
+        );
+        latch.arm();
+        assert!((0..10).all(|_| !latch.admits(&seen(Activity::Calibrating))), "it is calibrated anew");
+    }
+
+    #[test]
     fn an_interruption_ends_with_a_rest() {
-        let mut latch = rested(Latch::new());
+        let mut latch = rested(Latch::new(false));
         latch.interrupt(StopReason::NoCommands);
         assert_eq!(latch.reason(), Some(Stop::because(StopReason::NoCommands)));
         assert!(!latch.admits(&window(Gesture::Flexion)));
@@ -118,7 +140,7 @@ mod tests {
 
     #[test]
     fn a_stop_ends_with_an_arm_order_and_a_rest_only() {
-        let mut latch = rested(Latch::new());
+        let mut latch = rested(Latch::new(false));
         latch.stop(Stop::because(StopReason::NotReady));
         let fault = Stop { reason: StopReason::ArmFault, fault_code: 31 };
         latch.stop(fault);

@@ -1,9 +1,9 @@
-//! The stages as child processes: started, heard, stopped, reaped.
+//! The stages as child processes: started, heard, started again, stopped, reaped.
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
@@ -51,8 +51,13 @@ fn beat(orders: &ChildStdin) -> anyhow::Result<()> {
 }
 
 /// All stages of a session. Dropping it kills and reaps what still runs.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Children {
+    /// Where the programs lie.
+    folder: PathBuf,
+    /// The session's configuration.
+    config: PathBuf,
+    events: Sender<Event>,
     running: Vec<Running>,
 }
 
@@ -69,49 +74,70 @@ impl Children {
     pub fn start(config: &Path, events: &Sender<Event>) -> anyhow::Result<Children> {
         let program = std::env::current_exe().context("cannot find this program's own folder")?;
         let folder = program.parent().context("this program is in no folder")?;
-        let mut children = Children::default();
+        let mut children = Children {
+            folder: folder.to_owned(),
+            config: config.to_owned(),
+            events: events.clone(),
+            running: Vec::new(),
+        };
         for stage in Stage::ALL {
-            let path = folder.join(format!("tendon-{}", stage.name()));
-            let mut process = Command::new(&path)
-                .arg("--config")
-                .arg(config)
-                .stdin(Stdio::piped())
-                .stdout(Stdio::piped())
-                // Ctrl-C is for the supervisor alone, which then stops the stages in their order.
-                .process_group(0)
-                .spawn()
-                .with_context(|| {
-                    format!(
-                        "cannot start {}: build all programs with ./scripts/run or cargo build",
-                        path.display()
-                    )
-                })?;
-            let orders = process.stdin.take().context("a piped input is missing")?;
-            if stage == Stage::Robot {
-                beat(&orders)?;
-            }
-            let output = process.stdout.take().context("a piped output is missing")?;
-            children.running.push(Running { stage, process, orders });
-            let events = events.clone();
-            std::thread::Builder::new()
-                .name(format!("hear {}", stage.name()))
-                .spawn(move || {
-                    for line in BufReader::new(output).lines().map_while(Result::ok) {
-                        if let Ok(ready) = serde_json::from_str(&line) {
-                            // Nobody listens any more once the session is over.
-                            let _ = events.send(Event::Ready(stage, ready));
-                        }
-                    }
-                    let _ = events.send(Event::Ended(stage));
-                })
-                .context("cannot start a thread")?;
+            children.start_stage(stage, &[])?;
         }
         Ok(children)
+    }
+
+    /// Starts a stage that ended and was reaped once more, in a session that goes on.
+    pub fn restart(&mut self, stage: Stage) -> anyhow::Result<()> {
+        self.start_stage(stage, &["--restarted"])
+    }
+
+    fn start_stage(&mut self, stage: Stage, options: &[&str]) -> anyhow::Result<()> {
+        let path = self.folder.join(format!("tendon-{}", stage.name()));
+        let mut process = Command::new(&path)
+            .arg("--config")
+            .arg(&self.config)
+            .args(options)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            // Ctrl-C is for the supervisor alone, which then stops the stages in their order.
+            .process_group(0)
+            .spawn()
+            .with_context(|| {
+                format!(
+                    "cannot start {}: build all programs with ./scripts/run or cargo build",
+                    path.display()
+                )
+            })?;
+        let orders = process.stdin.take().context("a piped input is missing")?;
+        if stage == Stage::Robot {
+            beat(&orders)?;
+        }
+        let output = process.stdout.take().context("a piped output is missing")?;
+        self.running.push(Running { stage, process, orders });
+        let events = self.events.clone();
+        std::thread::Builder::new()
+            .name(format!("hear {}", stage.name()))
+            .spawn(move || {
+                for line in BufReader::new(output).lines().map_while(Result::ok) {
+                    if let Ok(ready) = serde_json::from_str(&line) {
+                        // Nobody listens any more once the session is over.
+                        let _ = events.send(Event::Ready(stage, ready));
+                    }
+                }
+                let _ = events.send(Event::Ended(stage));
+            })
+            .context("cannot start a thread")?;
+        Ok(())
     }
 
     /// Process ids of the stages that run.
     pub fn process_ids(&self) -> impl Iterator<Item = (Stage, u32)> {
         self.running.iter().map(|running| (running.stage, running.process.id()))
+    }
+
+    /// Process id of a stage; `None` when it does not run.
+    pub fn process_id(&self, stage: Stage) -> Option<u32> {
+        self.process_ids().find(|(other, _)| *other == stage).map(|(_, process_id)| process_id)
     }
 
     /// Gives an order to a stage. One that ends at this moment does not hear it, which shows as its end.

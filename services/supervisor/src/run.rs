@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
@@ -46,6 +46,8 @@ const READY_TIMEOUT: Duration = Duration::from_secs(60);
 const READY_TIMEOUT_OF_ARM: Duration = Duration::from_secs(300);
 /// After this long without being ready, the user is told what is waited for.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// A stage that was started again and ends within so long of being ready would do so for ever.
+const RESTART_TRIAL: Duration = Duration::from_secs(2);
 
 /// What can be said on the command line of `tendon run`; the rest is in the configuration.
 #[derive(Debug, Args)]
@@ -302,25 +304,25 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         observer.task = Some(Task::new(task, config, has_simulated_user).map_err(Failure::input)?);
     }
     let children = Children::start(&config_file, &sender).map_err(Failure::input)?;
-    let mut watch = Watch { config, events, children, observer, screen: Screen::new() };
+    let mut watch = Watch { config, events, children, observer, screen: Screen::new(), restarts: Vec::new() };
     // From before the arm goes to its start position: it can be stopped then, too.
     let keyboard = if options.keyboard || Keyboard::is_there() {
         Some(Keyboard::listen(&sender, options.keyboard).map_err(Failure::input)?)
     } else {
         None
     };
-    let Some(ready) = watch.wait_until_ready()? else {
+    let Some(mut started) = watch.wait_until_ready()? else {
         return watch.abandon();
     };
-    watch.introduce(&ready);
+    watch.introduce(&started);
     if options.keyboard {
         println!("  {GESTURE_KEYS}");
     }
     if keyboard.is_some() {
         println!("  {KEYS}");
     }
-    let watched = watch.until_the_end(options.duration);
-    let report = watch.stop_and_report(&ready);
+    let watched = watch.until_the_end(&mut started, options.duration);
+    let report = watch.stop_and_report(&started);
     drop(keyboard);
     watch.screen.finish();
     let report = report.map_err(Failure::running)?;
@@ -441,14 +443,24 @@ struct Watch<'a> {
     children: Children,
     observer: Observer,
     screen: Screen,
+    /// In the order in which they happened.
+    restarts: Vec<Restart>,
 }
 
 /// What is known once all stages are ready.
 struct Started {
     ready: BTreeMap<Stage, Ready>,
     at: Instant,
+    /// Processor time before, s; less what processes that ended since have used.
     cpu_s: BTreeMap<Stage, f64>,
     own_cpu_s: f64,
+}
+
+/// A stage that ended and was started again.
+struct Restart {
+    stage: Stage,
+    at: Instant,
+    ready: Option<Instant>,
 }
 
 impl Watch<'_> {
@@ -521,8 +533,9 @@ impl Watch<'_> {
         }
     }
 
-    /// Watches until the time is over, the recording is, somebody says stop, or a stage ends.
-    fn until_the_end(&mut self, duration: Option<Duration>) -> Result<(), Failure> {
+    /// Watches until the time is over, the recording is, somebody says stop, or a stage ends that cannot be started
+    /// again.
+    fn until_the_end(&mut self, started: &mut Started, duration: Option<Duration>) -> Result<(), Failure> {
         let begun = Instant::now();
         let tick = match self.config.delivery() {
             Delivery::Live if self.observer.task.is_some() => TASK_TICK,
@@ -534,8 +547,9 @@ impl Watch<'_> {
             match self.events.recv_timeout(tick.min(left)) {
                 Ok(Event::Stop) => return Ok(()),
                 Ok(Event::Order(stage, order)) => self.children.order(stage, order),
-                Ok(Event::Ended(stage)) => return Err(self.ended_early(stage)),
-                Ok(Event::Ready(..)) | Err(RecvTimeoutError::Timeout) => {}
+                Ok(Event::Ended(stage)) => self.restart(started, stage)?,
+                Ok(Event::Ready(stage, ready)) => self.go_on(started, stage, ready),
+                Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
             self.observer.gather().map_err(Failure::running)?;
@@ -552,6 +566,57 @@ impl Watch<'_> {
             {
                 return Ok(());
             }
+        }
+    }
+
+    /// Starts a stage again that ended, in a session that goes on. The arm is stopped first, until it is armed.
+    fn restart(&mut self, started: &mut Started, stage: Stage) -> Result<(), Failure> {
+        self.children.order(Stage::Robot, Order::StageEnded);
+        let was_restarted = self.restarts.iter().rfind(|restart| restart.stage == stage);
+        let proved_itself = was_restarted
+            .is_none_or(|restart| restart.ready.is_some_and(|ready| ready.elapsed() >= RESTART_TRIAL));
+        // A replay that began anew would be another one.
+        let is_replay = self.config.acquisition.source == Source::Replay;
+        let goes_on = self.config.delivery() == Delivery::Live && !(is_replay && stage == Stage::Acquisition);
+        if !(proved_itself && goes_on) {
+            return Err(self.ended_early(stage));
+        }
+        let used_s = self.children.process_id(stage).and_then(resources::cpu_s);
+        let status = self.children.reap(stage).map_err(Failure::running)?;
+        let status = status.map_or(String::new(), |status| format!(" ({status})"));
+        self.screen.finish();
+        // Standard error may be closed; the arm's state tells, too.
+        let _ = writeln!(
+            std::io::stderr(),
+            "tendon: {} ended{status} and is started again: the arm moves after `tendon arm` (key a) and a rest",
+            stage.name()
+        );
+        Leftovers::remove_of_the_dead(&self.config.session);
+        self.children.restart(stage).map_err(Failure::running)?;
+        *started.cpu_s.entry(stage).or_default() -= used_s.unwrap_or_default();
+        self.restarts.push(Restart { stage, at: Instant::now(), ready: None });
+        Ok(())
+    }
+
+    /// Lets a stage that was started again begin.
+    fn go_on(&mut self, started: &mut Started, stage: Stage, ready: Ready) {
+        self.children.order(stage, Order::Start);
+        started.ready.insert(stage, ready);
+        if let Some(restart) = self.restarts.iter_mut().rfind(|restart| restart.stage == stage) {
+            restart.ready = Some(Instant::now());
+        }
+    }
+
+    /// A stage that was started again must become ready in time.
+    fn look_at_restarts(&self) -> Result<(), Failure> {
+        let is_late = |restart: &&Restart| restart.ready.is_none() && restart.at.elapsed() > READY_TIMEOUT;
+        match self.restarts.iter().find(is_late) {
+            None => Ok(()),
+            Some(restart) => Err(Failure::running(anyhow::anyhow!(
+                "{} was started again but not ready after {} s: TENDON_LOG=debug shows more",
+                restart.stage.name(),
+                READY_TIMEOUT.as_secs()
+            ))),
         }
     }
 
@@ -636,6 +701,7 @@ impl Watch<'_> {
             cpu_s,
             memory_mb,
             final_position_mm: [x, y, z],
+            restarts: self.restarts.len() as u64,
             task: self.observer.task.as_ref().and_then(|task| task.report(self.observer.states.lost())),
             ..Report::of(gathered)
         }

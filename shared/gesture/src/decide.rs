@@ -206,8 +206,9 @@ impl Decider {
 
     fn toggle_gripper(&mut self, captured_ns: u64) -> Option<GripperTarget> {
         let interval_ns = (self.settings.grip_interval_s * 1e9) as u64;
-        let too_soon =
-            self.toggled_ns.is_some_and(|toggled_ns| captured_ns.saturating_sub(toggled_ns) < interval_ns);
+        // A time before that of the last toggle is of a source that began anew.
+        let elapsed_ns = self.toggled_ns.and_then(|toggled_ns| captured_ns.checked_sub(toggled_ns));
+        let too_soon = elapsed_ns.is_some_and(|elapsed_ns| elapsed_ns < interval_ns);
         if self.grips_in_a_row < self.settings.grip_windows || too_soon {
             return None;
         }
@@ -296,6 +297,18 @@ mod tests {
             toggles,
             [(2, GripperTarget::Closed), (29, GripperTarget::Open), (56, GripperTarget::Closed)]
         );
+    }
+
+    #[test]
+    fn a_source_that_begins_anew_does_not_keep_the_gripper_shut() {
+        let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
+        let later = 600_000_000_000;
+        let grip = certain(Gesture::Grip);
+        let evidence = Evidence { probabilities: &grip, moving: true, intact: true, captured_ns: later };
+        assert!((0..3).any(|_| decider.decide(&evidence).gripper.is_some()));
+        decider.restart();
+        let decisions = decide_all(&mut decider, &[(Gesture::Grip, true); 3]);
+        assert_eq!(decisions[2].gripper, Some(GripperTarget::Open));
     }
 
     #[test]

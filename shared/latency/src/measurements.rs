@@ -17,7 +17,8 @@ const SIGNIFICANT_DIGITS: u8 = 3;
 /// Messages after which a stage is warm: its ports have met, its buffers have their size.
 const WARM_UP_MESSAGES: u64 = 10;
 
-/// A stage's counts since the session began, over restarts.
+/// A stage's counts since the session began, over restarts. The newest 200 ms of a process that was killed are not
+/// known: what it took then counts as lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Messages received.
@@ -84,6 +85,8 @@ struct StageMeasurements {
     work: Histogram<u64>,
     process_id: u64,
     before_restart: Counts,
+    /// Sequence number of the message that the process before would have taken next, until its successor takes one.
+    expected_sequence: Option<u64>,
     newest: MeasurementHeader,
     /// Allocations of the process when it was warm; `None` before.
     allocations_when_warm: Option<u64>,
@@ -119,6 +122,7 @@ impl Default for SessionMeasurements {
             work: duration_histogram(),
             process_id: 0,
             before_restart: Counts::default(),
+            expected_sequence: None,
             newest: MeasurementHeader::default(),
             allocations_when_warm: None,
             allocations: 0,
@@ -143,10 +147,20 @@ impl SessionMeasurements {
         let kept = &mut self.stages[stage.index()];
         if kept.process_id != header.process_id {
             kept.before_restart = kept.before_restart.plus(&kept.newest);
+            kept.expected_sequence = if kept.newest.received > 0 {
+                Some(kept.newest.next_sequence)
+            } else {
+                kept.expected_sequence
+            };
             kept.process_id = header.process_id;
             kept.allocations_when_warm = None;
         }
         kept.newest = *header;
+        if let (Some(expected), 1..) = (kept.expected_sequence, header.received) {
+            // What came while the stage was gone. A publisher that began anew itself has smaller numbers.
+            kept.before_restart.lost += header.first_sequence.saturating_sub(expected);
+            kept.expected_sequence = None;
+        }
         let has_received = header.received >= WARM_UP_MESSAGES || stage.upstream().is_none();
         if kept.allocations_when_warm.is_none() && has_received && header.published >= WARM_UP_MESSAGES {
             kept.allocations_when_warm = Some(header.allocations);
@@ -280,6 +294,25 @@ mod tests {
         session.absorb(&header(Stage::Dsp, 1, 20, 3), &[]);
         session.absorb(&header(Stage::Dsp, 2, 5, 1), &[]);
         assert_eq!(session.counts(Stage::Dsp), Counts { received: 25, published: 4, ..Counts::default() });
+    }
+
+    #[test]
+    fn what_was_published_while_a_stage_was_gone_is_lost() {
+        let mut session = SessionMeasurements::default();
+        let numbered = |process_id, received, first_sequence, next_sequence| MeasurementHeader {
+            first_sequence,
+            next_sequence,
+            ..header(Stage::Dsp, process_id, received, 0)
+        };
+        session.absorb(&MeasurementHeader { lost: 3, ..numbered(1, 17, 0, 20) }, &[]);
+        session.absorb(&numbered(2, 0, 0, 0), &[]);
+        assert_eq!(session.counts(Stage::Dsp).lost, 3, "nothing is known yet");
+        session.absorb(&numbered(2, 5, 50, 55), &[]);
+        session.absorb(&numbered(2, 6, 50, 56), &[]);
+        assert_eq!(session.counts(Stage::Dsp).lost, 33);
+        // Together with the stage before, which numbers from 0 again.
+        session.absorb(&numbered(3, 4, 2, 6), &[]);
+        assert_eq!(session.counts(Stage::Dsp).lost, 33);
     }
 
     #[test]

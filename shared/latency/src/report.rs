@@ -55,7 +55,7 @@ pub struct Report {
     /// How the target-zone task went. Missing for a session without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<TaskReport>,
-    /// Stages restarted.
+    /// Stages that ended and were started again.
     pub restarts: u64,
     /// Processor time of every process, s; that of `tendon` itself as `supervisor`.
     pub cpu_s: BTreeMap<String, f64>,
@@ -301,6 +301,9 @@ impl Report {
             write!(out, "  {topic} {} (lost {}, stale {})", counts.published, counts.lost, counts.stale)?;
         }
         writeln!(out)?;
+        if self.restarts > 0 {
+            writeln!(out, "stages  ended and were started again: {}", self.restarts)?;
+        }
         if self.skipped_blocks > 0 {
             writeln!(out, "source  could not keep up and left out {} blocks", self.skipped_blocks)?;
         }

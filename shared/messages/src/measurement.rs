@@ -53,6 +53,10 @@ pub struct MeasurementHeader {
     pub published: u64,
     /// Messages lost on the way to this stage, by gaps in their sequence numbers.
     pub lost: u64,
+    /// Sequence number of the first message received, if any was: what came before it, this process cannot miss.
+    pub first_sequence: u64,
+    /// Sequence number that follows that of the newest message received, if any was.
+    pub next_sequence: u64,
     /// Messages not acted on because their newest sample was too old; at the source: blocks skipped because
     /// the process could not keep up.
     pub stale: u64,

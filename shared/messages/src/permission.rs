@@ -50,11 +50,13 @@ pub enum StopReason {
     WorkspaceBox = 9,
     /// The flange is faster than allowed.
     OverSpeed = 10,
+    /// A stage ended and was started again.
+    StageEnded = 11,
 }
 
 impl StopReason {
     /// All of them, in the order of their numbers, which begin with 1.
-    const ALL: [StopReason; 10] = [
+    const ALL: [StopReason; 11] = [
         StopReason::NoCommands,
         StopReason::SupervisorSilent,
         StopReason::RobotStalled,
@@ -65,6 +67,7 @@ impl StopReason {
         StopReason::JointLimit,
         StopReason::WorkspaceBox,
         StopReason::OverSpeed,
+        StopReason::StageEnded,
     ];
 
     /// The reason with this number; `None` for 0 and for what no sender of ours writes.
@@ -88,6 +91,7 @@ impl fmt::Display for StopReason {
             StopReason::JointLimit => "a joint is at its limit: drive the arm back by gestures",
             StopReason::WorkspaceBox => "the arm left the workspace box: drive it back by gestures",
             StopReason::OverSpeed => "the arm was faster than allowed: check what pulls it, and its settings",
+            StopReason::StageEnded => "a stage ended and was started again: see above which, and why",
         })
     }
 }
@@ -103,7 +107,7 @@ mod tests {
             assert_eq!(StopReason::from_number(reason as u8), Some(reason));
         }
         assert_eq!(StopReason::from_number(0), None);
-        assert_eq!(StopReason::from_number(11), None);
+        assert_eq!(StopReason::from_number(12), None);
         for permission in [Permission::Granted, Permission::AwaitRest, Permission::Stopped] {
             assert_eq!(Permission::from_number(permission as u8), permission);
         }

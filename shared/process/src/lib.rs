@@ -45,6 +45,10 @@ struct Arguments {
     /// Configuration of the session.
     #[arg(long, value_name = "FILE", default_value = "tendon.toml")]
     config: PathBuf,
+    /// The session goes on, and a process of this stage has ended in it. The robot then leaves the arm where it is
+    /// until it is armed.
+    #[arg(long)]
+    restarted: bool,
 }
 
 /// The line a process writes to standard output when it is ready.
@@ -98,6 +102,8 @@ pub struct StageProcess {
     pub measurements: Measurements,
     /// What the kernel granted.
     pub scheduling: Scheduling,
+    /// Whether this process stands in for one that has ended while its session goes on.
+    pub is_restarted: bool,
 }
 
 impl StageProcess {
@@ -162,14 +168,24 @@ impl StageProcess {
                             measurement => measurement?,
                         };
                         drop(message);
-                        self.measurements.counts.received = input.received();
-                        self.measurements.counts.lost = input.lost();
+                        self.count(&input);
                         self.measurements.record(measurement)?;
                     }
                 }
             }
         }
         self.measurements.publish()
+    }
+
+    /// Takes over what `input` has counted.
+    pub fn count<H: Traced, E: Element>(&mut self, input: &Subscriber<H, E>) {
+        let counts = &mut self.measurements.counts;
+        counts.received = input.received();
+        counts.lost = input.lost();
+        if let Some((first_sequence, next_sequence)) = input.sequence_range() {
+            counts.first_sequence = first_sequence;
+            counts.next_sequence = next_sequence;
+        }
     }
 
     /// Whether what was captured then is too old to act upon now. In a lossless replay nothing is: its
@@ -231,5 +247,6 @@ fn prepare(stage: Stage, arguments: &Arguments) -> anyhow::Result<StageProcess> 
     };
     let session = Session::join(&config.session, stage.name())?;
     let measurements = Measurements::open(&session, stage)?;
-    Ok(StageProcess { stage, config, session, control, measurements, scheduling })
+    let is_restarted = arguments.restarted;
+    Ok(StageProcess { stage, config, session, control, measurements, scheduling, is_restarted })
 }

@@ -31,6 +31,8 @@ pub enum Order {
     Stop,
     /// Permit motion again, once the person has been at rest.
     Arm,
+    /// Another stage ended: stop the arm, until [`Order::Arm`].
+    StageEnded,
 }
 
 impl Order {
@@ -42,6 +44,7 @@ impl Order {
             Order::Alive => "alive".to_owned(),
             Order::Stop => "stop".to_owned(),
             Order::Arm => "arm".to_owned(),
+            Order::StageEnded => "stage-ended".to_owned(),
         }
     }
 
@@ -51,6 +54,7 @@ impl Order {
             "alive" => Some(Order::Alive),
             "stop" => Some(Order::Stop),
             "arm" => Some(Order::Arm),
+            "stage-ended" => Some(Order::StageEnded),
             line => match line.split_once(' ') {
                 Some(("gesture", name)) => name.trim().parse().ok().map(Order::Gesture),
                 _ => None,
@@ -196,8 +200,14 @@ mod tests {
 
     #[test]
     fn orders_read_back_from_their_lines() {
-        let orders = [Order::Start, Order::Gesture(Gesture::Ulnar), Order::Alive, Order::Stop, Order::Arm];
-        for order in orders {
+        for order in [
+            Order::Start,
+            Order::Gesture(Gesture::Ulnar),
+            Order::Alive,
+            Order::Stop,
+            Order::Arm,
+            Order::StageEnded,
+        ] {
             assert_eq!(Order::parse(&order.line()), Some(order));
         }
         for nonsense in ["", "begin", "gesture", "gesture fist", "start now", "stop it"] {

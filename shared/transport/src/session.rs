@@ -390,19 +390,24 @@ impl Leftovers {
             }
         }
         // Then iceoryx2's own way, which knows in which order things go; then what even that left.
-        // Should the list fail, the files still go.
-        let _ = Node::<ipc::Service>::list(&session.config(), |state| {
-            if let NodeState::Dead(dead) = state {
-                // A node that cannot be removed this way goes with its files below.
-                let _ = dead.try_remove_stale_resources();
-            }
-            CallbackProgression::Continue
-        });
+        Leftovers::remove_of_the_dead(session);
         for file in Leftovers::of(session).files {
             // What vanishes meanwhile needs no removing; what resists shows up in `tendon doctor`.
             let _ = std::fs::remove_file(file);
         }
         before
+    }
+
+    /// Removes what dead processes left in `session` while others live in it: their ports give way to those of the
+    /// processes that stand in for them. The dead must have been reaped, and have been ready once (see
+    /// [`Leftovers::remove`] for the others). What cannot be removed now goes with the session.
+    pub fn remove_of_the_dead(session: &SessionName) {
+        let _ = Node::<ipc::Service>::list(&session.config(), |state| {
+            if let NodeState::Dead(dead) = state {
+                let _ = dead.try_remove_stale_resources();
+            }
+            CallbackProgression::Continue
+        });
     }
 }
 

@@ -121,6 +121,11 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
         self.gaps.lost
     }
 
+    /// Sequence number of the first message received, and the one after the newest; `None` before the first.
+    pub fn sequence_range(&self) -> Option<(u64, u64)> {
+        self.gaps.first.zip(self.gaps.next)
+    }
+
     #[cold]
     fn error(&self, error: &dyn Debug) -> ReceiveError {
         ReceiveError { topic: self.topic, reason: format!("{error:?}") }
@@ -169,6 +174,7 @@ impl<H: Traced, E: Element> Received<H, E> {
 /// Counts what is missing in a row of sequence numbers.
 #[derive(Debug, Default)]
 struct GapCount {
+    first: Option<u64>,
     next: Option<u64>,
     lost: u64,
 }
@@ -178,6 +184,7 @@ impl GapCount {
     /// joined late, a smaller one as a restarted publisher: nothing is missing then.
     fn take(&mut self, sequence: u64) -> u64 {
         let missing = self.next.map_or(0, |next| sequence.saturating_sub(next));
+        self.first.get_or_insert(sequence);
         self.next = Some(sequence + 1);
         self.lost += missing;
         missing
@@ -193,7 +200,7 @@ mod tests {
     fn a_late_start_and_a_restart_are_no_loss() {
         let mut gaps = GapCount::default();
         assert_eq!([7, 8, 0, 1].map(|sequence| gaps.take(sequence)), [0, 0, 0, 0]);
-        assert_eq!(gaps.lost, 0);
+        assert_eq!((gaps.lost, gaps.first, gaps.next), (0, Some(7), Some(2)));
     }
 
     proptest! {
