@@ -252,6 +252,25 @@ fn after_the_end_of_a_stage_the_arm_moves_once_armed_and_rested() {
 }
 
 #[test]
+fn after_a_session_that_was_killed_the_arm_stays_where_it_is_until_it_is_armed() {
+    let Rig { emulator, session, mut tendon, states, _membership } = Rig::start(HOLD);
+    wait_until("motion", || (emulator.model().speed_mm_per_s() > 0.9 * FULL_SPEED_MM_PER_S).then_some(()));
+    tendon.signal(Signal::SIGKILL);
+    tendon.end_whatever_is_left();
+    drop((states, _membership));
+    wait_until("rest", || (emulator.model().speed_mm_per_s() == 0.0).then_some(()));
+    let pose = emulator.model().report().pose;
+    let builder = Rig::builder(&emulator, &session, TO_AND_FRO);
+    let mut rig = Rig::of(emulator, session, builder);
+    rig.wait_for_reason(StopReason::StageEnded);
+    rig.assert_stays_at_rest(Duration::from_secs(4));
+    assert_eq!(rig.emulator.model().report().pose, pose);
+    rig.order("arm");
+    rig.wait_for_full_speed();
+    assert!(rig.end().errors.contains("was killed before"));
+}
+
+#[test]
 fn a_process_that_hangs_stops_the_arm_and_it_does_not_go_on_by_itself() {
     for victim in VICTIMS {
         let time = hang_at_full_speed(victim, Duration::ZERO);

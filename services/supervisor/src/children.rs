@@ -70,8 +70,8 @@ struct Running {
 
 impl Children {
     /// Starts all stages, which lie beside this program, on the configuration at `config`. What they say
-    /// comes as `events`.
-    pub fn start(config: &Path, events: &Sender<Event>) -> anyhow::Result<Children> {
+    /// comes as `events`. With `arm_stays` the robot is started as after the end of another.
+    pub fn start(config: &Path, events: &Sender<Event>, arm_stays: bool) -> anyhow::Result<Children> {
         let program = std::env::current_exe().context("cannot find this program's own folder")?;
         let folder = program.parent().context("this program is in no folder")?;
         let mut children = Children {
@@ -81,22 +81,22 @@ impl Children {
             running: Vec::new(),
         };
         for stage in Stage::ALL {
-            children.start_stage(stage, &[])?;
+            children.start_stage(stage, arm_stays && stage == Stage::Robot)?;
         }
         Ok(children)
     }
 
     /// Starts a stage that ended and was reaped once more, in a session that goes on.
     pub fn restart(&mut self, stage: Stage) -> anyhow::Result<()> {
-        self.start_stage(stage, &["--restarted"])
+        self.start_stage(stage, true)
     }
 
-    fn start_stage(&mut self, stage: Stage, options: &[&str]) -> anyhow::Result<()> {
+    fn start_stage(&mut self, stage: Stage, is_restarted: bool) -> anyhow::Result<()> {
         let path = self.folder.join(format!("tendon-{}", stage.name()));
         let mut process = Command::new(&path)
             .arg("--config")
             .arg(&self.config)
-            .args(options)
+            .args(is_restarted.then_some("--restarted"))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             // Ctrl-C is for the supervisor alone, which then stops the stages in their order.

@@ -249,14 +249,24 @@ impl Options {
     }
 }
 
+/// What becomes of the arm after the end of a stage or of a session that was killed.
+const ARM_WAITS: &str = "the arm stays where it is until `tendon arm` (key a) and a rest";
+
+/// Says something beside the live line.
+fn tell(text: &str) {
+    // Standard error may be closed; the arm's state says it, too.
+    let _ = writeln!(std::io::stderr(), "tendon: {text}");
+}
+
 /// Runs a session.
 pub fn run(options: &Options) -> Result<(), Failure> {
     let config = options.configuration().map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
-    Leftovers::remove(&lock, &config.session);
-    let result =
-        check_shared_memory(&config).map_err(Failure::input).and_then(|()| run_locked(options, &config));
+    let was_killed = Leftovers::remove(&lock, &config.session) > 0;
+    let result = check_shared_memory(&config)
+        .map_err(Failure::input)
+        .and_then(|()| run_locked(options, &config, was_killed));
     Leftovers::remove(&lock, &config.session);
     result
 }
@@ -291,7 +301,8 @@ pub fn free_bytes(folder: &Path) -> anyhow::Result<u64> {
     Ok(status.blocks_available() * status.fragment_size())
 }
 
-fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
+/// `was_killed`: the session of this name before did not end in good order.
+fn run_locked(options: &Options, config: &Config, was_killed: bool) -> Result<(), Failure> {
     let config_file = config.session.runtime_file("toml");
     std::fs::write(&config_file, config.to_toml())
         .with_context(|| format!("cannot write {}", config_file.display()))
@@ -303,7 +314,12 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         let has_simulated_user = options.has_simulated_user(config.acquisition.source);
         observer.task = Some(Task::new(task, config, has_simulated_user).map_err(Failure::input)?);
     }
-    let children = Children::start(&config_file, &sender).map_err(Failure::input)?;
+    // Nobody knows where that left a real arm, and what would be in its way to the start position.
+    let arm_stays = was_killed && config.robot.backend == Backend::XArm;
+    if arm_stays {
+        tell(&format!("session `{}` was killed before: {ARM_WAITS}", config.session));
+    }
+    let children = Children::start(&config_file, &sender, arm_stays).map_err(Failure::input)?;
     let mut watch = Watch { config, events, children, observer, screen: Screen::new(), restarts: Vec::new() };
     // From before the arm goes to its start position: it can be stopped then, too.
     let keyboard = if options.keyboard || Keyboard::is_there() {
@@ -585,12 +601,7 @@ impl Watch<'_> {
         let status = self.children.reap(stage).map_err(Failure::running)?;
         let status = status.map_or(String::new(), |status| format!(" ({status})"));
         self.screen.finish();
-        // Standard error may be closed; the arm's state tells, too.
-        let _ = writeln!(
-            std::io::stderr(),
-            "tendon: {} ended{status} and is started again: the arm moves after `tendon arm` (key a) and a rest",
-            stage.name()
-        );
+        tell(&format!("{} ended{status} and is started again: {ARM_WAITS}", stage.name()));
         Leftovers::remove_of_the_dead(&self.config.session);
         self.children.restart(stage).map_err(Failure::running)?;
         *started.cpu_s.entry(stage).or_default() -= used_s.unwrap_or_default();

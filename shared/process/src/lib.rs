@@ -45,8 +45,8 @@ struct Arguments {
     /// Configuration of the session.
     #[arg(long, value_name = "FILE", default_value = "tendon.toml")]
     config: PathBuf,
-    /// The session goes on, and a process of this stage has ended in it. The robot then leaves the arm where it is
-    /// until it is armed.
+    /// A process of this stage has ended before in a session that goes on, or did not end in good order. The robot then
+    /// leaves the arm where it is until it is armed.
     #[arg(long)]
     restarted: bool,
 }
@@ -102,7 +102,7 @@ pub struct StageProcess {
     pub measurements: Measurements,
     /// What the kernel granted.
     pub scheduling: Scheduling,
-    /// Whether this process stands in for one that has ended while its session goes on.
+    /// Whether this process stands in for one that did not end in good order.
     pub is_restarted: bool,
 }
 
