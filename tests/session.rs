@@ -103,7 +103,9 @@ fn the_report_has_the_keys_that_other_programs_read() {
         numbers(work, &latency);
         assert_eq!(work["stage"], *stage);
     }
-    numbers(&report["newest_sample_to_command"], &latency);
+    for key in ["newest_sample_to_command", "control_tick", "command_to_wire"] {
+        numbers(&report[key], &latency);
+    }
     numbers(
         &report["window_start_to_command"],
         &["count", "mean_ms", "sd_ms", "min_ms", "median_ms", "max_ms"],

@@ -328,6 +328,8 @@ fn the_path_to_the_wire_allocates_nothing_once_warm() {
     assert_eq!(report.allocations["robot"], 0);
     assert_eq!(report.robot, "xarm");
     assert!(report.control_tick.count > 500, "{:?}", report.control_tick);
+    // Those of three gestures of 2 s, and of what their votes delay.
+    assert!(report.command_to_wire.count > 60, "{:?}", report.command_to_wire);
 }
 
 #[test]

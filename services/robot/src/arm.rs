@@ -38,6 +38,10 @@ pub trait Arm {
     /// [`NonFiniteTwist`] names the component.
     fn command(&mut self, twist: Twist, now_ns: u64) -> Result<(), NonFiniteTwist>;
 
+    /// How long the newest command took from its receipt to the bytes given to the network, ns; once for each that set an
+    /// arm on a network in motion or kept it there.
+    fn command_to_wire_ns(&mut self) -> Option<u64>;
+
     /// Sets the gripper moving and returns at once.
     fn command_gripper(&mut self, command: GripperCommand, now_ns: u64);
 
@@ -76,6 +80,10 @@ impl Arm for SimulatedArm {
 
     fn command(&mut self, twist: Twist, now_ns: u64) -> Result<(), NonFiniteTwist> {
         SimulatedArm::command(self, twist, now_ns)
+    }
+
+    fn command_to_wire_ns(&mut self) -> Option<u64> {
+        None
     }
 
     fn command_gripper(&mut self, command: GripperCommand, now_ns: u64) {

@@ -142,6 +142,9 @@ impl Robot {
                         process.measurements.record_tick(now_ns.saturating_sub(tick_ns))?;
                     }
                     self.tick(now_ns);
+                    if let Some(took_ns) = self.arm.command_to_wire_ns() {
+                        process.measurements.record_command_to_wire(took_ns)?;
+                    }
                     self.publish_state(process)?;
                     process.measurements.publish_if_due()?;
                     let period_ns = if self.arm.is_still() { STILL_PERIOD_NS } else { MOVING_PERIOD_NS };

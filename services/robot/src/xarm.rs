@@ -6,12 +6,21 @@
 //!                                                                       rearm  └──── stopped ◀──────┘
 //! ```
 //!
-//! While it follows, every tick sends the velocity that [`Motion`] allows in the joint angles that the arm reports.
+//! While it follows, every tick sends the velocity that [`Motion`] allows in the joint angles that the arm reports. A
+//! command is answered at once, by the part of the coming step that has passed: velocities lie on one ramp, whenever
+//! they are sent.
+//!
+//! ```text
+//! velocity      ·──── tick
+//!            ,x´      x: a command that came between two ticks
+//!   tick ───´
+//! ```
+//!
 //! Each velocity lasts for [`VELOCITY_DURATION`] only, so the arm comes to rest by itself when this process or the
 //! cable is gone.
 
 use std::net::SocketAddr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use tendon_arm::{
@@ -19,6 +28,7 @@ use tendon_arm::{
 };
 use tendon_config::XArmSettings;
 use tendon_messages::StopReason;
+use tendon_transport::now_ns;
 use tendon_xarm::{Client, ClientSettings, Fault, Halt, Mode, Status, Velocity};
 
 use crate::arm::{Arm, Stop};
@@ -66,6 +76,8 @@ pub struct XArm {
     /// End of the last step, or when the next may begin.
     stepped_ns: u64,
     zeros_sent: u32,
+    /// Commands whose time to the network was told.
+    commands_told: u64,
     /// Whether the error that stopped the arm was told.
     is_explained: bool,
     /// Where the flange was, and when; for its speed.
@@ -99,6 +111,7 @@ impl XArm {
             connecting_since_ns: None,
             stepped_ns: now_ns,
             zeros_sent: LAST_ZEROS,
+            commands_told: 0,
             is_explained: false,
             position_before_mm: [0.0; 3],
             position_before_ns: 0,
@@ -177,13 +190,29 @@ impl XArm {
         let twist = self.motion.velocity();
         self.zeros_sent = if twist == Twist::ZERO { self.zeros_sent + 1 } else { 0 };
         if self.zeros_sent <= LAST_ZEROS {
-            let [x, y, z] = twist.linear_mm_per_s;
-            let [roll, pitch, yaw] = twist.angular_rad_per_s;
-            self.client.follow(Velocity::Flange([x, y, z, roll, pitch, yaw].map(|value| value as f32)));
+            self.client.follow(of_flange(twist));
         } else {
             self.zeros_sent = LAST_ZEROS;
         }
     }
+
+    /// Sends where the ramp to the velocity of the coming step is now, after a command received at `received_ns`.
+    fn answer(&self, received_ns: u64, joints_rad: &JointVector) {
+        let passed = received_ns.saturating_sub(self.stepped_ns) as f64 / STEP_NS as f64;
+        let twist = self.motion.foresee(self.stepped_ns, joints_rad, passed.min(1.0));
+        if twist == Twist::ZERO {
+            // Rest at rest needs no answer.
+            return;
+        }
+        let since = Duration::from_nanos(now_ns().saturating_sub(received_ns));
+        self.client.follow_command(of_flange(twist), Instant::now() - since);
+    }
+}
+
+fn of_flange(twist: Twist) -> Velocity {
+    let [x, y, z] = twist.linear_mm_per_s;
+    let [roll, pitch, yaw] = twist.angular_rad_per_s;
+    Velocity::Flange([x, y, z, roll, pitch, yaw].map(|value| value as f32))
 }
 
 impl Arm for XArm {
@@ -239,7 +268,16 @@ impl Arm for XArm {
     }
 
     fn command(&mut self, twist: Twist, now_ns: u64) -> Result<(), NonFiniteTwist> {
-        self.motion.command(twist, now_ns)
+        let outcome = self.motion.command(twist, now_ns);
+        if let Some(joints_rad) = self.joints_rad().filter(|_| self.phase == Phase::Following) {
+            self.answer(now_ns, &joints_rad);
+        }
+        outcome
+    }
+
+    fn command_to_wire_ns(&mut self) -> Option<u64> {
+        let told = std::mem::replace(&mut self.commands_told, self.status.commands_answered);
+        (self.status.commands_answered > told).then_some(self.status.command_to_wire.as_nanos() as u64)
     }
 
     fn command_gripper(&mut self, command: GripperCommand, _now_ns: u64) {

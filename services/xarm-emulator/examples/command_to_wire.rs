@@ -1,4 +1,5 @@
-//! How long a velocity takes from the call of the client to the bytes given to the network, at 250 Hz.
+//! How long a velocity takes from the call of the client to the bytes given to the network, at 250 Hz. From the receipt
+//! of a command by the robot process on, `tendon run` measures it: `command_to_wire` in its report.
 //!
 //! ```sh
 //! cargo run -p tendon-xarm-emulator --example command_to_wire
@@ -34,18 +35,18 @@ fn main() -> anyhow::Result<()> {
     let mut latencies_us = Vec::with_capacity(COMMANDS);
     let mut calls_us = Vec::with_capacity(COMMANDS);
     let mut due = Instant::now();
-    let mut sent = client.status().velocities_sent;
+    let mut answered = client.status().commands_answered;
     for command in 0..COMMANDS {
         let along_y = if command % 250 < 125 { 20.0 } else { -20.0 };
         let call = Instant::now();
-        client.follow(Velocity::Flange([0.0, along_y, 0.0, 0.0, 0.0, 0.0]));
+        client.follow_command(Velocity::Flange([0.0, along_y, 0.0, 0.0, 0.0, 0.0]), call);
         calls_us.push(call.elapsed().as_secs_f64() * 1e6);
         due += PERIOD;
         std::thread::sleep(due.saturating_duration_since(Instant::now()));
         let status = client.status();
-        if status.velocities_sent > sent {
-            sent = status.velocities_sent;
-            latencies_us.push(status.newest_send.as_secs_f64() * 1e6);
+        if status.commands_answered > answered {
+            answered = status.commands_answered;
+            latencies_us.push(status.command_to_wire.as_secs_f64() * 1e6);
         }
     }
     let mut output = std::io::stdout();

@@ -53,6 +53,15 @@ impl Motion {
             .advance(now_ns, |run_down| here.as_ref().is_some_and(|here| here.permit(run_down.velocities())))
     }
 
+    /// The velocity when this share, 0 to 1, of the coming step has passed: on the straight line from
+    /// [`Motion::velocity`] to what [`Motion::advance`] will give. So a command can be answered between two steps
+    /// without more acceleration or jerk than the steps have.
+    pub fn foresee(&self, now_ns: u64, joints_rad: &JointVector, share: f64) -> Twist {
+        let before = self.velocity().to_vector_mm();
+        let after = self.clone().advance(now_ns, joints_rad).to_vector_mm();
+        Twist::from_vector_mm(&(before + (after - before) * share))
+    }
+
     /// The velocity of the last step.
     pub fn velocity(&self) -> Twist {
         self.ramp.velocity()
@@ -187,6 +196,22 @@ mod tests {
                 singularity_distance(&XArm7::new(), &joints[999]) > SMALLEST_SINGULAR_VALUE
             });
         assert!(out);
+    }
+
+    #[test]
+    fn what_is_foreseen_lies_between_two_steps() {
+        let settings = ArmSettings::default();
+        let (mut motion, joints_rad) = (Motion::new(&settings), settings.start_joints_rad());
+        for step in 0..40 {
+            motion.command(push(1, if step < 20 { 100.0 } else { -100.0 }), step * STEP_NS).unwrap();
+            let before = motion.velocity().linear_mm_per_s[1];
+            let foreseen = [0.0, 0.25, 1.0].map(|share| motion.foresee(step * STEP_NS, &joints_rad, share));
+            let after = motion.advance(step * STEP_NS, &joints_rad).linear_mm_per_s[1];
+            let expected = [before, 0.75 * before + 0.25 * after, after];
+            for (foreseen, expected) in foreseen.iter().zip(expected) {
+                assert!((foreseen.linear_mm_per_s[1] - expected).abs() < 1e-12);
+            }
+        }
     }
 
     #[test]

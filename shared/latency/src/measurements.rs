@@ -105,6 +105,8 @@ pub struct SessionMeasurements {
     pub window_start_to_command: Summary,
     /// How late the robot's control ticks were, in motion.
     pub control_tick: Histogram<u64>,
+    /// The robot's receipt of a command to the bytes given to the arm's network.
+    pub command_to_wire: Histogram<u64>,
     /// Windows by true and by recognised gesture, of those that lie wholly inside one gesture.
     pub recognised: [[u64; Gesture::COUNT]; Gesture::COUNT],
 }
@@ -133,6 +135,7 @@ impl Default for SessionMeasurements {
             newest_sample_to_command: duration_histogram(),
             window_start_to_command: Summary::new(),
             control_tick: duration_histogram(),
+            command_to_wire: duration_histogram(),
             recognised: Default::default(),
         }
     }
@@ -171,6 +174,10 @@ impl SessionMeasurements {
         for measurement in batch {
             if measurement.tick_lateness_ns > 0 {
                 self.control_tick.saturating_record(measurement.tick_lateness_ns);
+                continue;
+            }
+            if measurement.command_to_wire_ns > 0 {
+                self.command_to_wire.saturating_record(measurement.command_to_wire_ns);
                 continue;
             }
             if stage.upstream().is_some() {
@@ -254,6 +261,7 @@ impl SessionMeasurements {
             ("newest-sample-to-command".to_owned(), &self.newest_sample_to_command),
             ("window-start-to-command".to_owned(), &self.window_start_to_command.histogram),
             ("control-tick".to_owned(), &self.control_tick),
+            ("command-to-wire".to_owned(), &self.command_to_wire),
         ];
         for (name, histogram) in transits.chain(works).chain(whole) {
             let tag = hdrhistogram::serialization::interval_log::Tag::new(&name);

@@ -38,6 +38,9 @@ pub struct Report {
     pub window_start_to_command: WindowStartSummary,
     /// How late the robot's control ticks were while the arm moved: 250 Hz are wanted.
     pub control_tick: LatencySummary,
+    /// The robot's receipt of a command to the bytes given to the arm's network, for commands that moved the arm; empty
+    /// with the simulated arm.
+    pub command_to_wire: LatencySummary,
     /// Messages published and lost, by topic.
     pub messages: BTreeMap<String, MessageCounts>,
     /// Blocks that the source left out because it could not keep up: they are on no topic.
@@ -247,6 +250,7 @@ impl Report {
                 max_ms: milliseconds(histogram.max() as f64),
             },
             control_tick: LatencySummary::of(&measurements.control_tick),
+            command_to_wire: LatencySummary::of(&measurements.command_to_wire),
             messages: messages.collect(),
             skipped_blocks: measurements.counts(Stage::Acquisition).stale,
             replaced_samples: measurements.counts(Stage::Dsp).replaced_samples,
@@ -294,6 +298,9 @@ impl Report {
         )?;
         if self.control_tick.count > 0 {
             row(out, "robot's control tick, lateness", &self.control_tick)?;
+        }
+        if self.command_to_wire.count > 0 {
+            row(out, "command to the arm's network", &self.command_to_wire)?;
         }
         write!(out, "messages")?;
         for topic in ["blocks", "windows", "predictions", "commands"] {

@@ -19,6 +19,9 @@ pub struct Measurement {
     pub window_start_to_publish_ns: u64,
     /// How late the robot's control tick was, at least 1; only the robot's ticks give it, and nothing else.
     pub tick_lateness_ns: u64,
+    /// From the receipt of a command to the bytes given to the arm's network, at least 1; only a robot with an arm on a
+    /// network gives it, and nothing else.
+    pub command_to_wire_ns: u64,
     /// The true gesture's class number if the window lies wholly inside it; only decision gives it.
     pub truth: u8,
     /// The window's recognised gesture, before the vote; only decision gives it.
@@ -33,6 +36,7 @@ impl Default for Measurement {
             newest_sample_to_publish_ns: 0,
             window_start_to_publish_ns: 0,
             tick_lateness_ns: 0,
+            command_to_wire_ns: 0,
             truth: NO_GESTURE,
             gesture: NO_GESTURE,
         }

@@ -73,6 +73,15 @@ impl Measurements {
         self.push(Measurement { tick_lateness_ns: lateness_ns.max(1), ..Measurement::default() })
     }
 
+    /// Takes how long a command took from its receipt to the arm's network.
+    ///
+    /// # Errors
+    ///
+    /// As [`Measurements::record`].
+    pub fn record_command_to_wire(&mut self, took_ns: u64) -> anyhow::Result<()> {
+        self.push(Measurement { command_to_wire_ns: took_ns.max(1), ..Measurement::default() })
+    }
+
     fn push(&mut self, measurement: Measurement) -> anyhow::Result<()> {
         self.batch.push(measurement);
         if self.batch.len() == BATCH_LENGTH { self.publish() } else { self.publish_if_due() }

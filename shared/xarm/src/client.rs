@@ -132,8 +132,10 @@ pub struct Status {
     pub velocities_sent: u64,
     /// Velocities that a newer one or a stop overtook before they were sent.
     pub velocities_replaced: u64,
-    /// From [`Client::follow`] to the bytes given to the network, for the newest velocity.
-    pub newest_send: Duration,
+    /// Velocities sent that answered a command ([`Client::follow_command`]).
+    pub commands_answered: u64,
+    /// From the receipt of the newest of these commands to the bytes given to the network.
+    pub command_to_wire: Duration,
     /// Stops that the arm acknowledged.
     pub stops_acknowledged: u64,
     /// Replies that came too late.
@@ -171,6 +173,21 @@ impl Velocity {
     }
 }
 
+/// A velocity that is to be sent, and when the command was received that it answers first, if it does.
+#[derive(Clone, Copy, Debug)]
+struct Asked {
+    velocity: Velocity,
+    command_at: Option<Instant>,
+}
+
+impl Asked {
+    /// This one in place of `before`, which was not sent: it answers what that would have answered.
+    fn instead_of(self, before: Option<Asked>) -> Asked {
+        let command_at = before.and_then(|before| before.command_at).or(self.command_at);
+        Asked { command_at, ..self }
+    }
+}
+
 /// The arm cannot be talked to.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
@@ -184,7 +201,7 @@ pub enum ClientError {
 struct Mailbox {
     stop: bool,
     arm: Option<Mode>,
-    velocity: Option<(Velocity, Instant)>,
+    velocity: Option<Asked>,
     replaced: u64,
     gripper_pulses: Option<i32>,
 }
@@ -259,10 +276,20 @@ impl Client {
     /// The velocity to follow from now on, for as long as [`ClientSettings::duration`]. Replaces one that was not
     /// sent yet. Ignored unless the arm is [`Phase::Ready`] in the mode of this velocity.
     pub fn follow(&self, velocity: Velocity) {
+        self.ask(Asked { velocity, command_at: None });
+    }
+
+    /// As [`Client::follow`], with the first velocity that answers a command received at that time:
+    /// [`Status::command_to_wire`] tells how long the answer took.
+    pub fn follow_command(&self, velocity: Velocity, received_at: Instant) {
+        self.ask(Asked { velocity, command_at: Some(received_at) });
+    }
+
+    fn ask(&self, asked: Asked) {
         let mut mailbox = lock(&self.shared.mailbox);
-        if mailbox.velocity.replace((velocity, Instant::now())).is_some() {
-            mailbox.replaced += 1;
-        }
+        let before = mailbox.velocity.take();
+        mailbox.replaced += u64::from(before.is_some());
+        mailbox.velocity = Some(asked.instead_of(before));
         drop(mailbox);
         self.shared.wake();
     }
@@ -374,7 +401,7 @@ struct Control {
     bring_up: Option<BringUp>,
     /// The mode in which the arm is ready.
     ready: Option<Mode>,
-    velocity: Option<(Velocity, Instant)>,
+    velocity: Option<Asked>,
     gripper_pulses: Option<i32>,
     gripper_watched_until: Option<Instant>,
     gripper_due: Instant,
@@ -498,9 +525,10 @@ impl Control {
             status.phase = Phase::BringingUp;
             status.halt = None;
         }
-        let velocity = mailbox.velocity.filter(|(velocity, _)| self.ready == Some(velocity.mode()));
-        if velocity.is_some() && std::mem::replace(&mut self.velocity, velocity).is_some() {
-            lock(&self.shared.status).velocities_replaced += 1;
+        if let Some(asked) = mailbox.velocity.filter(|asked| self.ready == Some(asked.velocity.mode())) {
+            let before = self.velocity.take();
+            lock(&self.shared.status).velocities_replaced += u64::from(before.is_some());
+            self.velocity = Some(asked.instead_of(before));
         }
         if self.ready.is_some() && mailbox.gripper_pulses.is_some() {
             self.gripper_pulses = mailbox.gripper_pulses;
@@ -552,7 +580,7 @@ impl Control {
                 }
                 _ => return Ok(()),
             }
-        } else if let Some((velocity, ordered)) = self.velocity.take() {
+        } else if let Some(Asked { velocity, command_at }) = self.velocity.take() {
             let duration_s = Some(settings.duration.as_secs_f32());
             let timeout = settings.motion_reply_timeout;
             let command = match velocity {
@@ -566,7 +594,10 @@ impl Control {
             self.request(command, Purpose::Velocity, timeout)?;
             let mut status = lock(&self.shared.status);
             status.velocities_sent += 1;
-            status.newest_send = ordered.elapsed();
+            if let Some(command_at) = command_at {
+                status.commands_answered += 1;
+                status.command_to_wire = command_at.elapsed();
+            }
             return Ok(());
         } else if self.errors_wanted {
             self.errors_wanted = false;
