@@ -13,7 +13,8 @@ use tendon_config::{Config, Pace, Source};
 use tendon_gesture::Gesture;
 use tendon_messages::{
     Activity, BLOCKS, BlockHeader, COMMANDS, CommandHeader, MEASUREMENTS, Measurement, MeasurementHeader,
-    Permission, STATES, Stage, StateHeader, StopReason, Trace, WINDOWS, WindowHeader,
+    Permission, STATES, Stage, StateHeader, StopReason, TWIST_LENGTH, Trace, WINDOWS, WindowContext,
+    WindowHeader,
 };
 use tendon_system_tests::recordings::{CHANNELS, MOVEMENT, PseudoEmg, REST, Stretch, write_table};
 use tendon_system_tests::{
@@ -209,6 +210,73 @@ fn a_stage_that_dies_again_and_again_ends_the_session_by_name() {
         tendon.has_ended().then_some(())
     });
     tendon.end().assert_failed(1, &["tendon: error:", "decision ended", "the session is stopped"]);
+}
+
+#[test]
+fn commands_of_a_decision_process_that_began_anew_stop_the_arm_whoever_started_it() {
+    let name = unique_session();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tendon.toml");
+    let mut config = Config { session: name.clone(), ..Config::default() };
+    config.scheduling.realtime = tendon_config::Realtime::Off;
+    std::fs::write(&path, config.to_toml()).unwrap();
+    let lock = SessionLock::take(&name).unwrap();
+    let session = Session::join(&name, "test").unwrap();
+    let open = || Publisher::open(&session, &COMMANDS, TWIST_LENGTH, Delivery::Live, Arc::default()).unwrap();
+    let mut states = Subscriber::open(&session, &STATES, None, Delivery::Live).unwrap();
+    // Rest until the robot is as wanted.
+    let mut rest_until = |commands: &mut Publisher<CommandHeader, f32>,
+                          is_enough: &dyn Fn(&StateHeader) -> bool| {
+        wait_until("a state of the robot", || {
+            let header = CommandHeader {
+                trace: Trace { captured_ns: now_ns(), ..Trace::default() },
+                context: WindowContext { activity: Activity::Rest as u8, ..WindowContext::default() },
+                ..CommandHeader::default()
+            };
+            commands.publish(header, TWIST_LENGTH, |twist| twist.fill(0.0)).unwrap();
+            let mut is_there = false;
+            while let Some(state) = states.receive().unwrap() {
+                is_there |= is_enough(state.header());
+            }
+            is_there.then_some(())
+        });
+    };
+    let mut commands = open();
+    let robot = StageAlone::start("robot", &path);
+    rest_until(&mut commands, &|state| state.permission == Permission::Granted as u8);
+    drop(commands);
+    rest_until(&mut open(), &|state| {
+        let is_stopped = state.permission == Permission::Stopped as u8;
+        is_stopped && state.stop_reason == StopReason::StageEnded as u8
+    });
+    let (exit_code, errors) = robot.stop();
+    assert_eq!((exit_code, errors.as_str()), (Some(0), ""));
+    drop((states, session));
+    Leftovers::remove(&lock, &name);
+}
+
+#[test]
+fn a_recording_ends_its_session_though_a_stage_was_gone_at_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("recording.csv");
+    write_table(&recording, &[Stretch { samples: 6000, amplitudes: REST }]);
+    let session = unique_session();
+    let builder = TendonBuilder::run(&session).arg("--replay").arg(recording);
+    let mut tendon = builder.args(&["--replay-rate-hz", "2000"]).start();
+    tendon.wait_until_running();
+    let membership = Session::join(&session, "test").unwrap();
+    let mut blocks = Subscriber::open(&membership, &BLOCKS, None, Delivery::Live).unwrap();
+    // The windows that end with samples 5850 and 6000 find no decision.
+    wait_until("the end of the recording to be near", || {
+        let mut is_near = false;
+        while let Some(block) = blocks.receive().unwrap() {
+            is_near |= block.header().first_sample >= 5800;
+        }
+        is_near.then_some(())
+    });
+    kill(tendon.stage("decision"), Signal::SIGKILL).unwrap();
+    drop((blocks, membership));
+    assert_eq!(tendon.end().report().restarts, 1);
 }
 
 #[test]

@@ -12,6 +12,8 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may do what tests may")]
 
 use std::io::Write;
+use std::ops::Deref;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
@@ -19,7 +21,7 @@ use nix::unistd::Pid;
 use tendon_gesture::Gesture;
 use tendon_messages::{Permission, STATES, Stage, StateHeader, StopReason};
 use tendon_system_tests::{Ended, Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until};
-use tendon_transport::{Delivery, Session, SessionName, Subscriber};
+use tendon_transport::{Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber, runtime_file};
 use tendon_xarm_emulator::{Emulator, Fault, Listen};
 
 /// How long a stop may take on a machine that runs other tests at the same time.
@@ -34,9 +36,45 @@ const HOLD: &str = "rest 1s, ulnar 60s";
 /// To and fro, with rests.
 const TO_AND_FRO: &str = "rest 1s, ulnar 2s, rest 1s, radial 2s";
 
-/// A session on an emulated arm of its own.
-struct Rig {
+/// An emulated arm of a test's own.
+struct EmulatedArm {
     emulator: Emulator,
+    /// What tells a session that the arm was not left in good order.
+    mark: PathBuf,
+}
+
+impl EmulatedArm {
+    fn start() -> EmulatedArm {
+        let emulator = Emulator::start(Listen::anywhere()).unwrap();
+        let Listen { address, control_port, .. } = emulator.listen;
+        let arm = EmulatedArm { emulator, mark: runtime_file(&format!("arm-{address}-{control_port}")) };
+        // An arm that had the same port before is another one.
+        arm.remove_mark();
+        arm
+    }
+
+    fn remove_mark(&self) {
+        let _ = std::fs::remove_file(&self.mark);
+    }
+}
+
+impl Deref for EmulatedArm {
+    type Target = Emulator;
+
+    fn deref(&self) -> &Emulator {
+        &self.emulator
+    }
+}
+
+impl Drop for EmulatedArm {
+    fn drop(&mut self) {
+        self.remove_mark();
+    }
+}
+
+/// A session on an emulated arm.
+struct Rig {
+    emulator: EmulatedArm,
     session: SessionName,
     tendon: Tendon,
     states: Subscriber<StateHeader, f32>,
@@ -63,13 +101,13 @@ impl Rig {
     }
 
     fn start(script: &str) -> Rig {
-        let emulator = Emulator::start(Listen::anywhere()).unwrap();
+        let emulator = EmulatedArm::start();
         let session = unique_session();
         let builder = Rig::builder(&emulator, &session, script);
         Rig::of(emulator, session, builder)
     }
 
-    fn of(emulator: Emulator, session: SessionName, builder: TendonBuilder) -> Rig {
+    fn of(emulator: EmulatedArm, session: SessionName, builder: TendonBuilder) -> Rig {
         let mut tendon = builder.start();
         tendon.wait_until_running();
         let membership = Session::join(&session, "test").unwrap();
@@ -135,11 +173,16 @@ impl Rig {
     }
 
     fn end(self) -> Ended {
-        let Rig { tendon, states, _membership, .. } = self;
+        self.end_session().1
+    }
+
+    /// Ends the session in good order; the arm goes on.
+    fn end_session(self) -> (EmulatedArm, Ended) {
+        let Rig { emulator, tendon, states, _membership, .. } = self;
         drop(states);
         drop(_membership);
         tendon.signal(Signal::SIGTERM);
-        tendon.end()
+        (emulator, tendon.end())
     }
 }
 
@@ -189,6 +232,8 @@ fn kill_at_full_speed(victim: Victim, after: Duration) -> Duration {
             // It takes the session with it.
             rig.tendon.end_whatever_is_left();
             assert_eq!(rig.speed_mm_per_s(), 0.0);
+            drop((rig.states, rig._membership));
+            Leftovers::remove(&SessionLock::take(&rig.session).unwrap(), &rig.session);
         }
     }
     time
@@ -264,10 +309,24 @@ fn after_a_session_that_was_killed_the_arm_stays_where_it_is_until_it_is_armed()
     let mut rig = Rig::of(emulator, session, builder);
     rig.wait_for_reason(StopReason::StageEnded);
     rig.assert_stays_at_rest(Duration::from_secs(4));
+    // One that ends in good order, but without arming, changes nothing about that.
+    let (emulator, ended) = rig.end_session();
+    assert!(ended.errors.contains("the session before was killed"), "{ended:#?}");
+    let session = unique_session();
+    let builder = Rig::builder(&emulator, &session, TO_AND_FRO);
+    let mut rig = Rig::of(emulator, session, builder);
+    rig.wait_for_reason(StopReason::StageEnded);
+    rig.assert_stays_at_rest(Duration::from_secs(2));
     assert_eq!(rig.emulator.model().report().pose, pose);
     rig.order("arm");
     rig.wait_for_full_speed();
-    assert!(rig.end().errors.contains("was killed before"));
+    // Free to move at the end, it goes to its start position with the next session.
+    let (emulator, _) = rig.end_session();
+    let session = unique_session();
+    let builder = Rig::builder(&emulator, &session, TO_AND_FRO);
+    let rig = Rig::of(emulator, session, builder);
+    rig.wait_for_full_speed();
+    rig.end();
 }
 
 #[test]
@@ -343,7 +402,7 @@ fn an_order_without_a_session_says_how_to_get_one() {
 
 #[test]
 fn the_space_bar_stops_and_a_arms() {
-    let emulator = Emulator::start(Listen::anywhere()).unwrap();
+    let emulator = EmulatedArm::start();
     let session = unique_session();
     let terminal = nix::pty::openpty(None, None).unwrap();
     let builder = Rig::builder(&emulator, &session, TO_AND_FRO).controlled_by(terminal.slave);
@@ -429,7 +488,7 @@ fn the_emergency_stop_button_needs_releasing_and_arming() {
 
 #[test]
 fn the_arm_goes_slowly_to_its_start_position_first() {
-    let emulator = Emulator::start(Listen::anywhere()).unwrap();
+    let emulator = EmulatedArm::start();
     let session = unique_session();
     let setting = "robot.arm.start_joints_deg=[8.0, -15.0, 0.0, 45.0, 0.0, 60.0, 0.0]";
     let builder = Rig::builder(&emulator, &session, HOLD).args(&["--set", setting]);
@@ -442,7 +501,7 @@ fn the_arm_goes_slowly_to_its_start_position_first() {
 
 #[test]
 fn an_arm_that_is_not_there_is_named_with_what_to_do() {
-    let emulator = Emulator::start(Listen::anywhere()).unwrap();
+    let emulator = EmulatedArm::start();
     let session = unique_session();
     let builder = Rig::builder(&emulator, &session, HOLD);
     let port = emulator.listen.control_port.to_string();

@@ -50,12 +50,19 @@ fn main() -> ExitCode {
             Backend::Simulate => {
                 Box::new(SimulatedArm::new(config.robot.arm.clone(), start_of_time(delivery))?)
             }
-            Backend::XArm => Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, now_ns())?),
+            Backend::XArm => {
+                let goes_to_start = !process.is_restarted;
+                Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, goes_to_start, now_ns())?)
+            }
         };
         let never = Arc::new(AtomicBool::new(false));
-        let mut robot = Robot {
+        let mut latch = Latch::new(config.decision.strategy == Strategy::Threshold);
+        if process.is_restarted {
+            latch.stop(Stop::because(StopReason::StageEnded));
+        }
+        let robot = Robot {
             arm,
-            latch: Latch::new(config.decision.strategy == Strategy::Threshold),
+            latch,
             guard: Guard::new(&config.robot.arm),
             states: Publisher::open(&process.session, &STATES, STATE_LENGTH, Delivery::Live, never)?,
             delivery,
@@ -66,13 +73,10 @@ fn main() -> ExitCode {
             newest_command: None,
             state: StateHeader::default(),
         };
-        if process.is_restarted {
-            // The arm stays where it is until it is armed, instead of going to its start position.
-            robot.stop(Stop::because(StopReason::StageEnded));
-        }
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
-        process.connect(&commands)?;
+        // Before the wait for others, so that an order to stop is heard from the beginning.
         process.control.listen(process.session.name())?;
+        process.connect(&commands)?;
         Ok(move |process: &mut StageProcess| robot.run(process, commands))
     })
 }
@@ -205,7 +209,11 @@ impl Robot {
                 }
                 process.control.answer("armed: the arm moves again once the muscles have been at rest");
             }
-            Order::StageEnded => self.stop(Stop::because(StopReason::StageEnded)),
+            Order::StageEnded => {
+                // A decision process that is started again is no surprise then.
+                self.newest_command = None;
+                self.stop(Stop::because(StopReason::StageEnded));
+            }
             Order::Start | Order::Gesture(_) => {}
         }
     }

@@ -6,7 +6,8 @@
 //!              ▲    ▲ no commands, supervisor silent, process stalled │
 //!     arm order│    └─────────────────────────────────────────────────┤
 //!              │                                                      │ order, arm error, limit, end of a stage
-//!           stopped ◀─────────────────────────────────────────────────┘
+//! start ──▶ stopped ◀─────────────────────────────────────────────────┘
+//! (after a process that did not end in good order)
 //! ```
 //!
 //! Whatever interrupted a motion, the arm does not move again before the person has been at rest: the muscles may
@@ -53,10 +54,13 @@ impl Latch {
         self.permission == Permission::Granted
     }
 
-    /// Nothing moves before [`Latch::arm`]. The first reason stays, but for one that says less than what follows.
+    /// Nothing moves before [`Latch::arm`]. The first reason stays, but for one that says less than what follows: what
+    /// the arm itself tells.
     pub fn stop(&mut self, stop: Stop) {
-        let says_little = self.stop.is_some_and(|stop| stop.reason == StopReason::NotReady);
-        if self.permission != Permission::Stopped || says_little {
+        let says_little = |stop: Stop| matches!(stop.reason, StopReason::NotReady | StopReason::StageEnded);
+        let says_more = self.stop.is_some_and(says_little)
+            && matches!(stop.reason, StopReason::ArmFault | StopReason::ConnectionBroke);
+        if self.permission != Permission::Stopped || says_more {
             *self = Latch { permission: Permission::Stopped, stop: Some(stop), rests: 0, ..*self };
         }
     }

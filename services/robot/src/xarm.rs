@@ -3,7 +3,7 @@
 //! ```text
 //! connect ─▶ bring up for joints ─▶ go slowly to the start position ─▶ bring up for the flange ─▶ follow
 //!                                                                              ▲                    │
-//!                                                                       rearm  └──── stopped ◀──────┘
+//!    └─▶ stopped, if the arm was not left in good order before          rearm  └──── stopped ◀──────┘
 //! ```
 //!
 //! While it follows, every tick sends the velocity that [`Motion`] allows in the joint angles that the arm reports. A
@@ -68,6 +68,7 @@ pub struct XArm {
     control: SocketAddr,
     motion: Motion,
     phase: Phase,
+    goes_to_start: bool,
     start_joints_rad: JointVector,
     start_speed_rad_per_s: f64,
     gripper_open_pulses: f64,
@@ -88,8 +89,14 @@ pub struct XArm {
 }
 
 impl XArm {
-    /// Begins to connect, at the time `now_ns`.
-    pub fn connect(xarm: &XArmSettings, arm: &ArmSettings, now_ns: u64) -> anyhow::Result<XArm> {
+    /// Begins to connect, at the time `now_ns`. Without `goes_to_start` the arm is stopped where it is, until
+    /// [`Arm::rearm`].
+    pub fn connect(
+        xarm: &XArmSettings,
+        arm: &ArmSettings,
+        goes_to_start: bool,
+        now_ns: u64,
+    ) -> anyhow::Result<XArm> {
         let address = xarm.address.context("robot.xarm.address is missing")?;
         let settings = ClientSettings {
             control: SocketAddr::new(address, xarm.control_port),
@@ -104,6 +111,7 @@ impl XArm {
             client: Client::start(settings)?,
             motion: Motion::new(arm),
             phase: Phase::Connecting,
+            goes_to_start,
             start_joints_rad: arm.start_joints_rad(),
             start_speed_rad_per_s: xarm.start_speed_deg_per_s.to_radians(),
             gripper_open_pulses: arm.gripper_open_pulses,
@@ -144,6 +152,9 @@ impl XArm {
 
     /// What the client says of the arm as long as it is to move.
     fn look_after(&self) -> Result<(), Stop> {
+        if self.status.phase == tendon_xarm::Phase::Disconnected {
+            return Err(Stop::because(StopReason::ConnectionBroke));
+        }
         if let Some(halt) = self.status.halt {
             // An error says more than that the arm is not ready.
             return Err(self.status.error().map_or(stop_of(halt), stop_for));
@@ -197,13 +208,14 @@ impl XArm {
     }
 
     /// Sends where the ramp to the velocity of the coming step is now, after a command received at `received_ns`.
-    fn answer(&self, received_ns: u64, joints_rad: &JointVector) {
+    fn answer(&mut self, received_ns: u64, joints_rad: &JointVector) {
         let passed = received_ns.saturating_sub(self.stepped_ns) as f64 / STEP_NS as f64;
         let twist = self.motion.foresee(self.stepped_ns, joints_rad, passed.min(1.0));
         if twist == Twist::ZERO {
             // Rest at rest needs no answer.
             return;
         }
+        self.zeros_sent = 0;
         let since = Duration::from_nanos(now_ns().saturating_sub(received_ns));
         self.client.follow_command(of_flange(twist), Instant::now() - since);
     }
@@ -238,7 +250,11 @@ impl Arm for XArm {
             Phase::Stopped => return self.say_more(),
             Phase::Connecting => {
                 if self.status.phase == tendon_xarm::Phase::Connected && self.status.report.is_some() {
-                    self.bring_up(Mode::JointVelocity, Phase::EnablingJoints, now_ns);
+                    if self.goes_to_start {
+                        self.bring_up(Mode::JointVelocity, Phase::EnablingJoints, now_ns);
+                    } else {
+                        self.stop();
+                    }
                     return Ok(());
                 }
                 let since_ns = *self.connecting_since_ns.get_or_insert(now_ns);

@@ -142,8 +142,10 @@ impl Children {
 
     /// Gives an order to a stage. One that ends at this moment does not hear it, which shows as its end.
     pub fn order(&mut self, stage: Stage, order: Order) {
+        // In one piece, as the heartbeat writes to the same pipe.
+        let line = format!("{}\n", order.line());
         for running in self.running.iter_mut().filter(|running| running.stage == stage) {
-            let _ = writeln!(running.orders, "{}", order.line());
+            let _ = running.orders.write_all(line.as_bytes());
         }
     }
 

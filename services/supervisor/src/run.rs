@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use clap::Args;
 use hdrhistogram::serialization::V2DeflateSerializer;
 use hdrhistogram::serialization::interval_log::IntervalLogWriterBuilder;
@@ -19,8 +19,8 @@ use tendon_evaluation::latency_figure;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_latency::{Report, SessionMeasurements};
 use tendon_messages::{
-    BLOCKS, COMMANDS, MEASUREMENTS, Measurement, MeasurementHeader, PREDICTIONS, STATE_LENGTH, STATES, Stage,
-    StateHeader, TWIST_LENGTH, WINDOWS,
+    BLOCKS, COMMANDS, MEASUREMENTS, Measurement, MeasurementHeader, PREDICTIONS, Permission, STATE_LENGTH,
+    STATES, Stage, StateHeader, StopReason, TWIST_LENGTH, WINDOWS,
 };
 use tendon_process::{BATCH_LENGTH, Order, Ready};
 use tendon_transport::{
@@ -29,6 +29,7 @@ use tendon_transport::{
 };
 
 use crate::Failure;
+use crate::arm_mark::ArmMark;
 use crate::children::{Children, Event};
 use crate::resources;
 use crate::screen::{GESTURE_KEYS, KEYS, Keyboard, Screen, live_line};
@@ -48,6 +49,8 @@ const READY_TIMEOUT_OF_ARM: Duration = Duration::from_secs(300);
 const PATIENCE: Duration = Duration::from_secs(2);
 /// A stage that was started again and ends within so long of being ready would do so for ever.
 const RESTART_TRIAL: Duration = Duration::from_secs(2);
+/// So long after the end of a recording nothing of it is under way any more.
+const LAST_OF_RECORDING: Duration = Duration::from_secs(1);
 
 /// What can be said on the command line of `tendon run`; the rest is in the configuration.
 #[derive(Debug, Args)]
@@ -249,9 +252,6 @@ impl Options {
     }
 }
 
-/// What becomes of the arm after the end of a stage or of a session that was killed.
-const ARM_WAITS: &str = "the arm stays where it is until `tendon arm` (key a) and a rest";
-
 /// Says something beside the live line.
 fn tell(text: &str) {
     // Standard error may be closed; the arm's state says it, too.
@@ -263,10 +263,9 @@ pub fn run(options: &Options) -> Result<(), Failure> {
     let config = options.configuration().map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
-    let was_killed = Leftovers::remove(&lock, &config.session) > 0;
-    let result = check_shared_memory(&config)
-        .map_err(Failure::input)
-        .and_then(|()| run_locked(options, &config, was_killed));
+    Leftovers::remove(&lock, &config.session);
+    let result =
+        check_shared_memory(&config).map_err(Failure::input).and_then(|()| run_locked(options, &config));
     Leftovers::remove(&lock, &config.session);
     result
 }
@@ -301,8 +300,7 @@ pub fn free_bytes(folder: &Path) -> anyhow::Result<u64> {
     Ok(status.blocks_available() * status.fragment_size())
 }
 
-/// `was_killed`: the session of this name before did not end in good order.
-fn run_locked(options: &Options, config: &Config, was_killed: bool) -> Result<(), Failure> {
+fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     let config_file = config.session.runtime_file("toml");
     std::fs::write(&config_file, config.to_toml())
         .with_context(|| format!("cannot write {}", config_file.display()))
@@ -314,45 +312,33 @@ fn run_locked(options: &Options, config: &Config, was_killed: bool) -> Result<()
         let has_simulated_user = options.has_simulated_user(config.acquisition.source);
         observer.task = Some(Task::new(task, config, has_simulated_user).map_err(Failure::input)?);
     }
-    // Nobody knows where that left a real arm, and what would be in its way to the start position.
-    let arm_stays = was_killed && config.robot.backend == Backend::XArm;
+    let mark = match config.robot.backend {
+        Backend::Simulate => None,
+        Backend::XArm => Some(ArmMark::set(&config.robot.xarm).map_err(Failure::input)?),
+    };
+    let arm_stays = mark.as_ref().is_some_and(ArmMark::was_there);
     if arm_stays {
-        tell(&format!("session `{}` was killed before: {ARM_WAITS}", config.session));
+        tell(
+            "the session before was killed or left the arm stopped: it stays where it is until `tendon arm` (key a) \
+             and a rest",
+        );
     }
     let children = Children::start(&config_file, &sender, arm_stays).map_err(Failure::input)?;
-    let mut watch = Watch { config, events, children, observer, screen: Screen::new(), restarts: Vec::new() };
-    // From before the arm goes to its start position: it can be stopped then, too.
-    let keyboard = if options.keyboard || Keyboard::is_there() {
-        Some(Keyboard::listen(&sender, options.keyboard).map_err(Failure::input)?)
-    } else {
-        None
+    let mut watch = Watch {
+        config,
+        events,
+        children,
+        observer,
+        screen: Screen::new(),
+        restarts: Vec::new(),
+        has_begun: false,
+        robot_obeyed: false,
     };
-    let Some(mut started) = watch.wait_until_ready()? else {
-        return watch.abandon();
-    };
-    watch.introduce(&started);
-    if options.keyboard {
-        println!("  {GESTURE_KEYS}");
+    let result = watch.session(options, &sender);
+    if let Some(mark) = mark.filter(|_| watch.left_in_good_order(arm_stays)) {
+        mark.remove().map_err(Failure::running)?;
     }
-    if keyboard.is_some() {
-        println!("  {KEYS}");
-    }
-    let watched = watch.until_the_end(&mut started, options.duration);
-    let report = watch.stop_and_report(&started);
-    drop(keyboard);
-    watch.screen.finish();
-    let report = report.map_err(Failure::running)?;
-    println!("{}", report.table());
-    if let Some(folder) = &options.figures {
-        write_figures(folder, &watch.observer.gathered).map_err(Failure::running)?;
-        if let Some(task) = &watch.observer.task {
-            task.write_figures(folder).map_err(Failure::running)?;
-        }
-    }
-    if let Some(path) = &options.json {
-        write_json(path, &report).map_err(Failure::running)?;
-    }
-    watched
+    result
 }
 
 fn write_figures(folder: &Path, gathered: &SessionMeasurements) -> anyhow::Result<()> {
@@ -461,6 +447,10 @@ struct Watch<'a> {
     screen: Screen,
     /// In the order in which they happened.
     restarts: Vec<Restart>,
+    /// Whether all stages were ready once.
+    has_begun: bool,
+    /// Whether the robot process ended as it should, after it had stopped the arm.
+    robot_obeyed: bool,
 }
 
 /// What is known once all stages are ready.
@@ -480,6 +470,64 @@ struct Restart {
 }
 
 impl Watch<'_> {
+    /// The session, from the keyboard to the report. In the end no stage runs.
+    fn session(&mut self, options: &Options, events: &Sender<Event>) -> Result<(), Failure> {
+        // From before the arm goes to its start position: it can be stopped then, too.
+        let keyboard = if options.keyboard || Keyboard::is_there() {
+            Some(Keyboard::listen(events, options.keyboard).map_err(Failure::input)?)
+        } else {
+            None
+        };
+        let ready = self.wait_until_ready();
+        let Ok(Some(mut started)) = ready else {
+            let stopped = self.stop_stages().map_err(Failure::running);
+            return ready.and(stopped);
+        };
+        self.has_begun = true;
+        self.introduce(&started);
+        if options.keyboard {
+            println!("  {GESTURE_KEYS}");
+        }
+        if keyboard.is_some() {
+            println!("  {KEYS}");
+        }
+        let watched = self.until_the_end(&mut started, options.duration);
+        let report = self.stop_and_report(&started);
+        drop(keyboard);
+        self.screen.finish();
+        let written = report.and_then(|report| self.write(options, &report)).map_err(Failure::running);
+        // What ended the session says more than what came of that.
+        watched.and(written)
+    }
+
+    /// Prints the report and writes what was asked for.
+    fn write(&self, options: &Options, report: &Report) -> anyhow::Result<()> {
+        println!("{}", report.table());
+        if let Some(folder) = &options.figures {
+            write_figures(folder, &self.observer.gathered)?;
+            if let Some(task) = &self.observer.task {
+                task.write_figures(folder)?;
+            }
+        }
+        match &options.json {
+            Some(path) => write_json(path, report),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether the arm was left free to move, or as it was found if it was never reached. `was_stopped`: it was found
+    /// stopped.
+    fn left_in_good_order(&self, was_stopped: bool) -> bool {
+        let state = &self.observer.state;
+        let never_reached = !self.has_begun && state.stop_reason == StopReason::ConnectionBroke as u8;
+        let is_stopped = if self.observer.states.received() == 0 || never_reached {
+            was_stopped
+        } else {
+            Permission::from_number(state.permission) == Permission::Stopped
+        };
+        self.robot_obeyed && !is_stopped
+    }
+
     /// Waits until all stages are ready, then lets the source begin; `None` when told to stop before.
     fn wait_until_ready(&mut self) -> Result<Option<Started>, Failure> {
         let begun = Instant::now();
@@ -525,9 +573,14 @@ impl Watch<'_> {
         Ok(Some(Started { ready, at: Instant::now(), cpu_s, own_cpu_s }))
     }
 
-    /// Stops a session that never began.
-    fn abandon(&mut self) -> Result<(), Failure> {
-        self.children.stop(&self.events, || Ok(())).map_err(Failure::running)?;
+    /// Stops all stages that run, robot first, and takes what they say last.
+    fn stop_stages(&mut self) -> anyhow::Result<()> {
+        let Watch { children, events, observer, .. } = self;
+        let runs = children.process_id(Stage::Robot).is_some();
+        let killed = children.stop(events, || observer.gather())?;
+        observer.gather()?;
+        self.robot_obeyed |= runs && !killed.contains(&Stage::Robot.name());
+        ensure!(killed.is_empty(), "{} did not stop and had to be killed", killed.join(", "));
         Ok(())
     }
 
@@ -553,6 +606,7 @@ impl Watch<'_> {
     /// again.
     fn until_the_end(&mut self, started: &mut Started, duration: Option<Duration>) -> Result<(), Failure> {
         let begun = Instant::now();
+        let mut finished = None;
         let tick = match self.config.delivery() {
             Delivery::Live if self.observer.task.is_some() => TASK_TICK,
             Delivery::Live => TICK,
@@ -577,8 +631,15 @@ impl Watch<'_> {
                 line.push_str(&task.live());
             }
             self.screen.show(&line);
+            if self.observer.gathered.has_finished() && finished.is_none() {
+                finished = Some(Instant::now());
+            }
+            // What a stage missed while it was gone is never taken.
+            let is_over = !self.restarts.is_empty()
+                && finished.is_some_and(|finished| finished.elapsed() > LAST_OF_RECORDING);
             if duration.is_some_and(|duration| begun.elapsed() >= duration)
                 || self.observer.gathered.is_drained()
+                || is_over
             {
                 return Ok(());
             }
@@ -595,13 +656,23 @@ impl Watch<'_> {
         let is_replay = self.config.acquisition.source == Source::Replay;
         let goes_on = self.config.delivery() == Delivery::Live && !(is_replay && stage == Stage::Acquisition);
         if !(proved_itself && goes_on) {
-            return Err(self.ended_early(stage));
+            return Err(Failure { exit_code: 1, ..self.ended_early(stage) });
         }
         let used_s = self.children.process_id(stage).and_then(resources::cpu_s);
         let status = self.children.reap(stage).map_err(Failure::running)?;
         let status = status.map_or(String::new(), |status| format!(" ({status})"));
+        let Config { decision, dsp, .. } = self.config;
+        let rest = match (stage, decision.strategy) {
+            (Stage::Dsp, Strategy::Threshold) => {
+                format!("{} s of rest, on which it calibrates", dsp.activity.calibration_s)
+            }
+            _ => "a rest".to_owned(),
+        };
         self.screen.finish();
-        tell(&format!("{} ended{status} and is started again: {ARM_WAITS}", stage.name()));
+        tell(&format!(
+            "{} ended{status} and is started again: the arm moves after `tendon arm` (key a) and {rest}",
+            stage.name()
+        ));
         Leftovers::remove_of_the_dead(&self.config.session);
         self.children.restart(stage).map_err(Failure::running)?;
         *started.cpu_s.entry(stage).or_default() -= used_s.unwrap_or_default();
@@ -636,6 +707,8 @@ impl Watch<'_> {
         self.screen.finish();
         match self.children.reap(stage) {
             Ok(Some(status)) => {
+                // One that says that it ended has stopped the arm before.
+                self.robot_obeyed |= stage == Stage::Robot && matches!(status.code(), Some(0..=2));
                 let error = anyhow::anyhow!("{} ended ({status}): the session is stopped", stage.name());
                 let exit_code = if status.code() == Some(2) { 2 } else { 1 };
                 Failure { error, exit_code }
@@ -664,14 +737,9 @@ impl Watch<'_> {
             cpu_s.insert("supervisor".to_owned(), seconds - started.own_cpu_s);
             memory_mb.insert("supervisor".to_owned(), megabytes);
         }
-        let observer = &mut self.observer;
-        observer.gather()?;
-        observer.gathered.ending();
-        let killed = self.children.stop(&self.events, || observer.gather())?;
         self.observer.gather()?;
-        if !killed.is_empty() {
-            bail!("{} did not stop and had to be killed", killed.join(", "));
-        }
+        self.observer.gathered.ending();
+        self.stop_stages()?;
         self.observer.write_log(duration)?;
         Ok(self.report(started, duration, cpu_s, memory_mb))
     }

@@ -50,7 +50,7 @@ pub enum StopReason {
     WorkspaceBox = 9,
     /// The flange is faster than allowed.
     OverSpeed = 10,
-    /// A stage ended and was started again, or the session before was killed.
+    /// A stage ended and was started again, or the session before left the arm stopped.
     StageEnded = 11,
 }
 
@@ -91,7 +91,7 @@ impl fmt::Display for StopReason {
             StopReason::JointLimit => "a joint is at its limit: drive the arm back by gestures",
             StopReason::WorkspaceBox => "the arm left the workspace box: drive it back by gestures",
             StopReason::OverSpeed => "the arm was faster than allowed: check what pulls it, and its settings",
-            StopReason::StageEnded => "a stage was killed or broke off: see above which, and why",
+            StopReason::StageEnded => "a stage ended, or the session before left it stopped: see above",
         })
     }
 }

@@ -3,6 +3,7 @@
 //! A supervisor writes orders to the process's standard input, a line each. The end of that input means that the
 //! supervisor is gone: the process stops. SIGINT and SIGTERM stop it as well. The robot takes orders from a socket, too.
 
+use std::collections::VecDeque;
 use std::io::PipeReader;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
@@ -36,6 +37,8 @@ pub struct Control {
     stop: Arc<AtomicBool>,
     signal_pipe: PipeReader,
     line: Vec<u8>,
+    /// Orders that came while nobody could obey them.
+    kept: VecDeque<Order>,
     socket: Option<OrderSocket>,
 }
 
@@ -53,7 +56,13 @@ impl Control {
             let end = signal_end.try_clone().context("cannot duplicate the pipe for signals")?;
             signal_hook::low_level::pipe::register(signal, end).context("cannot handle signals")?;
         }
-        Ok(Control { stop, signal_pipe, line: Vec::with_capacity(MAXIMUM_LINE_LENGTH), socket: None })
+        Ok(Control {
+            stop,
+            signal_pipe,
+            line: Vec::with_capacity(MAXIMUM_LINE_LENGTH),
+            kept: VecDeque::new(),
+            socket: None,
+        })
     }
 
     /// Takes orders for `session` from now on by its socket, too.
@@ -64,6 +73,11 @@ impl Control {
     pub fn listen(&mut self, session: &SessionName) -> anyhow::Result<()> {
         self.socket = Some(OrderSocket::open(session)?);
         Ok(())
+    }
+
+    /// Gives these orders once more, before any that come.
+    pub fn keep(&mut self, orders: impl IntoIterator<Item = Order>) {
+        self.kept.extend(orders);
     }
 
     /// Tells who gave the newest order by the socket what came of it. The supervisor reads it in the state.
@@ -131,8 +145,11 @@ impl Control {
         }
     }
 
-    /// The next whole line read so far; lines that are no order of ours are passed over.
+    /// The next order that was kept or read so far; lines that are no order of ours are passed over.
     fn take_order(&mut self) -> Option<Order> {
+        if let Some(order) = self.kept.pop_front() {
+            return Some(order);
+        }
         loop {
             let end = self.line.iter().position(|byte| *byte == b'\n')?;
             let order = std::str::from_utf8(&self.line[..end]).ok().and_then(Order::parse);

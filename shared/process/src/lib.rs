@@ -45,8 +45,7 @@ struct Arguments {
     /// Configuration of the session.
     #[arg(long, value_name = "FILE", default_value = "tendon.toml")]
     config: PathBuf,
-    /// A process of this stage has ended before in a session that goes on, or did not end in good order. The robot then
-    /// leaves the arm where it is until it is armed.
+    /// The process before did not end in good order. The robot then leaves the arm where it is until it is armed.
     #[arg(long)]
     restarted: bool,
 }
@@ -108,15 +107,22 @@ pub struct StageProcess {
 
 impl StageProcess {
     /// Waits until the stage before has opened `input`'s topic, and connects to it, so that no message is
-    /// published to a port that is not yet connected. Returns early when told to stop.
+    /// published to a port that is not yet connected. Returns early when told to stop. Orders that come meanwhile are
+    /// kept for later.
     ///
     /// # Errors
     ///
     /// When the other's memory cannot be mapped.
     pub fn connect<H: Traced, E: Element>(&mut self, input: &Subscriber<H, E>) -> anyhow::Result<()> {
-        while !input.connect()? && self.control.wait(Some(input.as_fd()), None)? != Wake::Stop {
-            input.acknowledge_wakes()?;
+        let mut orders = Vec::new();
+        while !input.connect()? {
+            match self.control.wait(Some(input.as_fd()), None)? {
+                Wake::Stop => break,
+                Wake::Order(order) => orders.push(order),
+                Wake::Message | Wake::Deadline => input.acknowledge_wakes()?,
+            }
         }
+        self.control.keep(orders);
         Ok(())
     }
 

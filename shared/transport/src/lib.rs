@@ -22,6 +22,6 @@ pub use clock::now_ns;
 pub use publisher::{Element, Loan, PublishError, Publisher};
 pub use session::{
     Delivery, InvalidSessionName, Leftovers, Session, SessionError, SessionLock, SessionLockError,
-    SessionName, required_bytes, shared_memory_directory,
+    SessionName, required_bytes, runtime_file, shared_memory_directory,
 };
 pub use subscriber::{ReceiveError, Received, Subscriber};

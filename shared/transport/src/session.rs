@@ -6,6 +6,7 @@ use std::io::{Read, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -27,6 +28,8 @@ const MAXIMUM_BORROWED: usize = 2;
 const MAXIMUM_PUBLISHERS: usize = 8;
 /// Processes that can take part in a topic.
 const MAXIMUM_NODES: usize = 24;
+/// A segment of shared memory that is empty for so long has lost its maker.
+const LONGEST_EMPTY: Duration = Duration::from_secs(1);
 /// Longest session name: with it, the paths of iceoryx2's Unix sockets stay below the kernel's 108 bytes.
 const MAXIMUM_NAME_LENGTH: usize = 24;
 
@@ -105,6 +108,11 @@ impl SessionName {
         config.global.service.cleanup_dead_nodes_on_open = false;
         config
     }
+}
+
+/// A file in the runtime directory that belongs to no session and outlives them. Its name must not start with `tendon.`.
+pub fn runtime_file(name: &str) -> PathBuf {
+    runtime_directory().join(name)
 }
 
 /// Where the files of all sessions live that are not shared memory: one folder a user.
@@ -381,14 +389,7 @@ impl Leftovers {
     /// its processes: files of living ones would be pulled from under them. Returns how many files went.
     pub fn remove(_lock: &SessionLock, session: &SessionName) -> usize {
         let before = Leftovers::of(session).files.len();
-        // A process that was killed while it made a segment of shared memory leaves it empty, and iceoryx2 0.10 would
-        // wait for ever for it to be filled.
-        for file in Leftovers::of(session).files {
-            let is_empty = std::fs::metadata(&file).is_ok_and(|metadata| metadata.len() == 0);
-            if is_empty && file.starts_with(shared_memory_directory()) {
-                let _ = std::fs::remove_file(file);
-            }
-        }
+        Leftovers::remove_empty_segments(session, Duration::ZERO);
         // Then iceoryx2's own way, which knows in which order things go; then what even that left.
         Leftovers::remove_of_the_dead(session);
         for file in Leftovers::of(session).files {
@@ -398,10 +399,25 @@ impl Leftovers {
         before
     }
 
+    /// A process that was killed while it made a segment of shared memory leaves it empty, and iceoryx2 0.10 would wait
+    /// for ever for it to be filled. A living one fills it within microseconds.
+    fn remove_empty_segments(session: &SessionName, older_than: Duration) {
+        for file in Leftovers::of(session).files {
+            let is_left_empty = std::fs::metadata(&file).is_ok_and(|metadata| {
+                let age = metadata.modified().ok().and_then(|modified| modified.elapsed().ok());
+                metadata.len() == 0 && age.unwrap_or_default() >= older_than
+            });
+            if is_left_empty && file.starts_with(shared_memory_directory()) {
+                let _ = std::fs::remove_file(file);
+            }
+        }
+    }
+
     /// Removes what dead processes left in `session` while others live in it: their ports give way to those of the
-    /// processes that stand in for them. The dead must have been reaped, and have been ready once (see
-    /// [`Leftovers::remove`] for the others). What cannot be removed now goes with the session.
+    /// processes that stand in for them. The dead must have been reaped. What cannot be removed now goes with the
+    /// session.
     pub fn remove_of_the_dead(session: &SessionName) {
+        Leftovers::remove_empty_segments(session, LONGEST_EMPTY);
         let _ = Node::<ipc::Service>::list(&session.config(), |state| {
             if let NodeState::Dead(dead) = state {
                 let _ = dead.try_remove_stale_resources();
