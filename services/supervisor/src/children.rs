@@ -9,6 +9,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tendon_messages::Stage;
@@ -42,12 +43,22 @@ fn beat(orders: &ChildStdin) -> anyhow::Result<()> {
         .name("heartbeat".to_owned())
         .spawn(move || {
             // It fails when the robot is gone.
-            while orders.write_all(line.as_bytes()).is_ok() {
+            while write_if_there_is_room(&mut orders, line.as_bytes()).is_ok() {
                 std::thread::sleep(HEARTBEAT);
             }
         })
         .context("cannot start a thread")?;
     Ok(())
+}
+
+/// Writes this line unless it would be the last that fits the pipe: to a process that hangs, orders come through when it
+/// goes on, and whoever gives them need not wait for that. (Linux takes a pipe whose last page is begun for full, and
+/// small writes still go to that page: pipe(7), poll(2).)
+fn write_if_there_is_room(pipe: &mut (impl Write + AsFd), line: &[u8]) -> std::io::Result<()> {
+    let mut looked_at = [PollFd::new(pipe.as_fd(), PollFlags::POLLOUT)];
+    poll(&mut looked_at, PollTimeout::ZERO)?;
+    let is = looked_at[0].revents().unwrap_or(PollFlags::empty());
+    if is.intersects(PollFlags::POLLERR | PollFlags::POLLOUT) { pipe.write_all(line) } else { Ok(()) }
 }
 
 /// All stages of a session. Dropping it kills and reaps what still runs.
@@ -222,5 +233,29 @@ impl Drop for Children {
             let _ = running.process.kill();
             let _ = running.process.wait();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+
+    use super::*;
+
+    #[test]
+    fn an_order_fits_the_pipe_of_a_process_that_hangs_however_many_heartbeats_came_before() {
+        let (mut reader, mut writer) = std::io::pipe().unwrap();
+        // A pipe holds 64 kB unless it is told otherwise.
+        for _ in 0..100_000 {
+            write_if_there_is_room(&mut writer, b"alive\n").unwrap();
+        }
+        writer.write_all(b"stop\n").unwrap();
+        drop(writer);
+        let mut lines = String::new();
+        reader.read_to_string(&mut lines).unwrap();
+        assert!(lines.ends_with("alive\nstop\n") && lines.len() < 100_000);
+        let (reader, mut writer) = std::io::pipe().unwrap();
+        drop(reader);
+        assert!(write_if_there_is_room(&mut writer, b"alive\n").is_err());
     }
 }
