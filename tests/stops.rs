@@ -101,7 +101,10 @@ impl Rig {
     }
 
     fn start(script: &str) -> Rig {
-        let emulator = EmulatedArm::start();
+        Rig::on(EmulatedArm::start(), script)
+    }
+
+    fn on(emulator: EmulatedArm, script: &str) -> Rig {
         let session = unique_session();
         let builder = Rig::builder(&emulator, &session, script);
         Rig::of(emulator, session, builder)
@@ -298,8 +301,9 @@ fn after_the_end_of_a_stage_the_arm_moves_once_armed_and_rested() {
 
 #[test]
 fn after_a_session_that_was_killed_the_arm_stays_where_it_is_until_it_is_armed() {
-    let Rig { emulator, session, mut tendon, states, _membership } = Rig::start(HOLD);
-    wait_until("motion", || (emulator.model().speed_mm_per_s() > 0.9 * FULL_SPEED_MM_PER_S).then_some(()));
+    let rig = Rig::start(HOLD);
+    rig.wait_for_full_speed();
+    let Rig { emulator, session, mut tendon, states, _membership } = rig;
     tendon.signal(Signal::SIGKILL);
     tendon.end_whatever_is_left();
     drop((states, _membership));
@@ -312,9 +316,7 @@ fn after_a_session_that_was_killed_the_arm_stays_where_it_is_until_it_is_armed()
     // One that ends in good order, but without arming, changes nothing about that.
     let (emulator, ended) = rig.end_session();
     assert!(ended.errors.contains("the session before was killed"), "{ended:#?}");
-    let session = unique_session();
-    let builder = Rig::builder(&emulator, &session, TO_AND_FRO);
-    let mut rig = Rig::of(emulator, session, builder);
+    let mut rig = Rig::on(emulator, TO_AND_FRO);
     rig.wait_for_reason(StopReason::StageEnded);
     rig.assert_stays_at_rest(Duration::from_secs(2));
     assert_eq!(rig.emulator.model().report().pose, pose);
@@ -322,9 +324,7 @@ fn after_a_session_that_was_killed_the_arm_stays_where_it_is_until_it_is_armed()
     rig.wait_for_full_speed();
     // Free to move at the end, it goes to its start position with the next session.
     let (emulator, _) = rig.end_session();
-    let session = unique_session();
-    let builder = Rig::builder(&emulator, &session, TO_AND_FRO);
-    let rig = Rig::of(emulator, session, builder);
+    let rig = Rig::on(emulator, TO_AND_FRO);
     rig.wait_for_full_speed();
     rig.end();
 }

@@ -252,6 +252,11 @@ impl Options {
     }
 }
 
+fn not_ready(who: &str, timeout: Duration) -> Failure {
+    let seconds = timeout.as_secs();
+    Failure::running(anyhow::anyhow!("{who} not ready after {seconds} s: TENDON_LOG=debug shows more"))
+}
+
 /// Says something beside the live line.
 fn tell(text: &str) {
     // Standard error may be closed; the arm's state says it, too.
@@ -312,6 +317,12 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         let has_simulated_user = options.has_simulated_user(config.acquisition.source);
         observer.task = Some(Task::new(task, config, has_simulated_user).map_err(Failure::input)?);
     }
+    // From before the arm goes to its start position: it can be stopped then, too.
+    let keyboard = if options.keyboard || Keyboard::is_there() {
+        Some(Keyboard::listen(&sender, options.keyboard).map_err(Failure::input)?)
+    } else {
+        None
+    };
     let mark = match config.robot.backend {
         Backend::Simulate => None,
         Backend::XArm => Some(ArmMark::set(&config.robot.xarm).map_err(Failure::input)?),
@@ -334,7 +345,7 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         has_begun: false,
         robot_obeyed: false,
     };
-    let result = watch.session(options, &sender);
+    let result = watch.session(options, keyboard);
     if let Some(mark) = mark.filter(|_| watch.left_in_good_order(arm_stays)) {
         mark.remove().map_err(Failure::running)?;
     }
@@ -470,14 +481,8 @@ struct Restart {
 }
 
 impl Watch<'_> {
-    /// The session, from the keyboard to the report. In the end no stage runs.
-    fn session(&mut self, options: &Options, events: &Sender<Event>) -> Result<(), Failure> {
-        // From before the arm goes to its start position: it can be stopped then, too.
-        let keyboard = if options.keyboard || Keyboard::is_there() {
-            Some(Keyboard::listen(events, options.keyboard).map_err(Failure::input)?)
-        } else {
-            None
-        };
+    /// The session, from the wait for its stages to the report. In the end no stage runs.
+    fn session(&mut self, options: &Options, keyboard: Option<Keyboard>) -> Result<(), Failure> {
         let ready = self.wait_until_ready();
         let Ok(Some(mut started)) = ready else {
             let stopped = self.stop_stages().map_err(Failure::running);
@@ -549,11 +554,7 @@ impl Watch<'_> {
                 missing.map(Stage::name).collect()
             };
             if begun.elapsed() > timeout {
-                return Err(Failure::running(anyhow::anyhow!(
-                    "{} not ready after {} s: TENDON_LOG=debug shows more",
-                    missing().join(", "),
-                    timeout.as_secs()
-                )));
+                return Err(not_ready(&missing().join(", "), timeout));
             }
             if begun.elapsed() > PATIENCE {
                 let missing = missing();
@@ -694,11 +695,9 @@ impl Watch<'_> {
         let is_late = |restart: &&Restart| restart.ready.is_none() && restart.at.elapsed() > READY_TIMEOUT;
         match self.restarts.iter().find(is_late) {
             None => Ok(()),
-            Some(restart) => Err(Failure::running(anyhow::anyhow!(
-                "{} was started again but not ready after {} s: TENDON_LOG=debug shows more",
-                restart.stage.name(),
-                READY_TIMEOUT.as_secs()
-            ))),
+            Some(restart) => {
+                Err(not_ready(&format!("{} was started again but", restart.stage.name()), READY_TIMEOUT))
+            }
         }
     }
 

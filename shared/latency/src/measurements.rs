@@ -150,11 +150,9 @@ impl SessionMeasurements {
         let kept = &mut self.stages[stage.index()];
         if kept.process_id != header.process_id {
             kept.before_restart = kept.before_restart.plus(&kept.newest);
-            kept.expected_sequence = if kept.newest.received > 0 {
-                Some(kept.newest.next_sequence)
-            } else {
-                kept.expected_sequence
-            };
+            if kept.newest.received > 0 {
+                kept.expected_sequence = Some(kept.newest.next_sequence);
+            }
             kept.process_id = header.process_id;
             kept.allocations_when_warm = None;
         }

@@ -391,7 +391,7 @@ impl Leftovers {
         let before = Leftovers::of(session).files.len();
         Leftovers::remove_empty_segments(session, Duration::ZERO);
         // Then iceoryx2's own way, which knows in which order things go; then what even that left.
-        Leftovers::remove_of_the_dead(session);
+        Leftovers::remove_dead_nodes(session);
         for file in Leftovers::of(session).files {
             // What vanishes meanwhile needs no removing; what resists shows up in `tendon doctor`.
             let _ = std::fs::remove_file(file);
@@ -418,6 +418,10 @@ impl Leftovers {
     /// session.
     pub fn remove_of_the_dead(session: &SessionName) {
         Leftovers::remove_empty_segments(session, LONGEST_EMPTY);
+        Leftovers::remove_dead_nodes(session);
+    }
+
+    fn remove_dead_nodes(session: &SessionName) {
         let _ = Node::<ipc::Service>::list(&session.config(), |state| {
             if let NodeState::Dead(dead) = state {
                 let _ = dead.try_remove_stale_resources();

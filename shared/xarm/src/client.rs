@@ -181,10 +181,12 @@ struct Asked {
 }
 
 impl Asked {
-    /// This one in place of `before`, which was not sent: it answers what that would have answered.
-    fn instead_of(self, before: Option<Asked>) -> Asked {
+    /// Takes the place of one that was not sent, and answers what that would have answered. Returns whether there was one.
+    fn replace(self, place: &mut Option<Asked>) -> bool {
+        let before = place.take();
         let command_at = before.and_then(|before| before.command_at).or(self.command_at);
-        Asked { command_at, ..self }
+        *place = Some(Asked { command_at, ..self });
+        before.is_some()
     }
 }
 
@@ -287,9 +289,7 @@ impl Client {
 
     fn ask(&self, asked: Asked) {
         let mut mailbox = lock(&self.shared.mailbox);
-        let before = mailbox.velocity.take();
-        mailbox.replaced += u64::from(before.is_some());
-        mailbox.velocity = Some(asked.instead_of(before));
+        mailbox.replaced += u64::from(asked.replace(&mut mailbox.velocity));
         drop(mailbox);
         self.shared.wake();
     }
@@ -525,10 +525,9 @@ impl Control {
             status.phase = Phase::BringingUp;
             status.halt = None;
         }
-        if let Some(asked) = mailbox.velocity.filter(|asked| self.ready == Some(asked.velocity.mode())) {
-            let before = self.velocity.take();
-            lock(&self.shared.status).velocities_replaced += u64::from(before.is_some());
-            self.velocity = Some(asked.instead_of(before));
+        let asked = mailbox.velocity.filter(|asked| self.ready == Some(asked.velocity.mode()));
+        if asked.is_some_and(|asked| asked.replace(&mut self.velocity)) {
+            lock(&self.shared.status).velocities_replaced += 1;
         }
         if self.ready.is_some() && mailbox.gripper_pulses.is_some() {
             self.gripper_pulses = mailbox.gripper_pulses;
