@@ -306,10 +306,6 @@ pub fn free_bytes(folder: &Path) -> anyhow::Result<u64> {
 }
 
 fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
-    let config_file = config.session.runtime_file("toml");
-    std::fs::write(&config_file, config.to_toml())
-        .with_context(|| format!("cannot write {}", config_file.display()))
-        .map_err(Failure::input)?;
     let (sender, events) = channel();
     stop_on_signals(&sender).map_err(Failure::running)?;
     let mut observer = Observer::open(config, options.latency_log.as_deref()).map_err(Failure::input)?;
@@ -334,7 +330,7 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
              and a rest",
         );
     }
-    let children = Children::start(&config_file, &sender, arm_stays).map_err(Failure::input)?;
+    let children = Children::start(config, &sender, arm_stays).map_err(Failure::input)?;
     let mut watch = Watch {
         config,
         events,
