@@ -21,7 +21,7 @@ use nix::sys::socket::{
 };
 use tendon_gesture::Gesture;
 use tendon_paths::{claimed_names, user_name};
-use tendon_transport::SessionName;
+use tendon_transport::{SessionName, own_user};
 
 /// What a stage is told to do, one line of text each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,10 +116,6 @@ pub enum OrderError {
 /// remove it while the arm moves.
 fn listening_name(user: u32, session: &SessionName) -> String {
     format!("tendon.{user}.{session}.orders")
-}
-
-fn own_user() -> u32 {
-    nix::unistd::geteuid().as_raw()
 }
 
 /// A datagram socket that learns from the kernel who sent what it receives.

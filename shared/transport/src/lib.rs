@@ -22,6 +22,6 @@ pub use clock::now_ns;
 pub use publisher::{Element, Loan, PublishError, Publisher};
 pub use session::{
     Delivery, InvalidSessionName, Leftovers, Removed, Session, SessionError, SessionLock, SessionLockError,
-    SessionName, required_bytes, running_sessions, shared_memory_directory,
+    SessionName, own_user, required_bytes, running_sessions, shared_memory_directory,
 };
 pub use subscriber::{ReceiveError, Received, Subscriber};
