@@ -87,9 +87,7 @@ impl PrivateFolder {
             made.map_err(|error| PathError::system(parent, error))?;
         }
         match std::fs::DirBuilder::new().mode(0o700).create(path) {
-            Err(error) if error.kind() != ErrorKind::AlreadyExists => {
-                return Err(PathError::system(path, error));
-            }
+            Err(error) if error.kind() != ErrorKind::AlreadyExists => Err(PathError::system(path, error)),
             _ => PrivateFolder::open_existing(path),
         }
     }
