@@ -162,7 +162,7 @@ mod tests {
             assert_eq!(holder.user, nix::unistd::geteuid().as_raw());
             assert_eq!(holder.card, "in /run/user/1000/tendon");
         }
-        assert_eq!(claimed_names("tendon-test."), [name.clone()]);
+        assert_eq!(claimed_names("tendon-test."), std::slice::from_ref(&name));
         drop(claim);
         assert_eq!(Holder::of(&name), None);
         Claim::take(&name, "").unwrap();
