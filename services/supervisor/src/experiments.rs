@@ -26,7 +26,7 @@ use tendon_config::Config;
 use tendon_dataset::{BuildSettings, Manifest, Recording, StoredDataset, list};
 use tendon_evaluation::StrategyScores;
 use tendon_gesture::Strategy;
-use tendon_latency::Report;
+use tendon_report::Report;
 use tendon_signal::FilterSettings;
 
 use crate::evaluate::{Scores, score_dataset, write_figures};
