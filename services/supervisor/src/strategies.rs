@@ -288,7 +288,7 @@ fn run(
                 end_sample: complete.first_sample + config.dsp.windows.window_samples as u64,
                 gesture: decision.gesture,
                 voted: decision.voted,
-                toggles_gripper: decision.gripper.is_some(),
+                toggles_gripper: decision.toggles_gripper,
                 work_ns: began.elapsed().as_nanos() as u64,
             });
         }

@@ -13,8 +13,8 @@ use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, SimulationSetti
 use tendon_gesture::DecisionSettings;
 use tendon_recordings::{Channel, RecordingSettings};
 use tendon_signal::SignalSettings;
-use tendon_task::TaskSettings;
 use tendon_transport::{Delivery, SessionName};
+use tendon_zones::TaskSettings;
 
 /// All settings of a session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

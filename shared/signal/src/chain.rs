@@ -128,6 +128,11 @@ impl SignalChain {
         self.channels * self.window_samples
     }
 
+    /// How many more samples the activity detector's calibration needs; 0 once it is over.
+    pub fn calibration_left_samples(&self) -> usize {
+        self.activity.calibration_left_samples()
+    }
+
     /// What calibration found of each channel's rest; `None` until it is over.
     pub fn baselines(&self) -> Option<&[Baseline]> {
         self.activity.baselines()

@@ -13,6 +13,7 @@ use iceoryx2::prelude::{
     CallbackProgression, Node, NodeBuilder, NodeName, NodeState, SemanticString, ServiceName,
     SignalHandlingMode, ipc,
 };
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::publish_subscribe;
 use nix::fcntl::{Flock, FlockArg};
 use serde::{Deserialize, Serialize};
@@ -250,6 +251,24 @@ impl Session {
             .max_nodes(MAXIMUM_NODES)
             .open_or_create()
             .map_err(|error| self.port_error(topic.name, &error))
+    }
+
+    /// The topic as it is in this session, whatever its delivery; `None` while nobody has opened it.
+    pub(crate) fn existing_topic<H: Traced, E: Element>(
+        &self,
+        topic: &Topic<H, E>,
+    ) -> Result<Option<publish_subscribe::PortFactory<ipc::Service, [E], H>>, SessionError> {
+        let opened = self
+            .node
+            .service_builder(&self.service_name(topic.name)?)
+            .publish_subscribe::<[E]>()
+            .user_header::<H>()
+            .open();
+        match opened {
+            Ok(service) => Ok(Some(service)),
+            Err(PublishSubscribeOpenError::DoesNotExist) => Ok(None),
+            Err(error) => Err(self.port_error(topic.name, &error)),
+        }
     }
 
     fn service_name(&self, topic: &'static str) -> Result<ServiceName, SessionError> {

@@ -53,7 +53,28 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
         stage: Option<Stage>,
         delivery: Delivery,
     ) -> Result<Self, SessionError> {
-        let service = session.topic(topic, delivery)?;
+        Subscriber::of_service(session, topic, stage, session.topic(topic, delivery)?)
+    }
+
+    /// Opens `topic` for an observer, with the delivery that the session has for it; `None` while nobody has opened the
+    /// topic yet. With [`Delivery::Lossless`] an observer that does not read holds up the publisher.
+    ///
+    /// # Errors
+    ///
+    /// As [`Subscriber::open`].
+    pub fn observe(session: &Session, topic: &Topic<H, E>) -> Result<Option<Self>, SessionError> {
+        session
+            .existing_topic(topic)?
+            .map(|service| Subscriber::of_service(session, topic, None, service))
+            .transpose()
+    }
+
+    fn of_service(
+        session: &Session,
+        topic: &Topic<H, E>,
+        stage: Option<Stage>,
+        service: PortFactory<ipc::Service, [E], H>,
+    ) -> Result<Self, SessionError> {
         let port = service
             .subscriber_builder()
             .buffer_size(topic.buffer)
@@ -109,6 +130,11 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
         self.received += 1;
         let lost_before = self.gaps.take(trace.sequence);
         Ok(Some(Received { sample, trace, lost_before }))
+    }
+
+    /// What happens on this topic when a subscriber is behind.
+    pub fn delivery(&self) -> Delivery {
+        if self.service.static_config().has_safe_overflow() { Delivery::Live } else { Delivery::Lossless }
     }
 
     /// Messages received so far.

@@ -1,15 +1,15 @@
-//! The report of a session: as JSON with stable keys, and as a table for people.
+//! The report of a session, as JSON with stable keys.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
+use std::time::Duration;
 
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_messages::Stage;
-use tendon_task::TaskReport;
+use tendon_zones::TaskReport;
 
-use crate::measurements::SessionMeasurements;
+use crate::measurements::{SessionMeasurements, Summary};
 
 /// What `tendon run` reports. The JSON keys are a contract with other programs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -24,7 +24,7 @@ pub struct Report {
     pub robot: String,
     /// File of the model.
     pub model: String,
-    /// `threshold` or `direct`.
+    /// The strategy's name.
     pub strategy: String,
     /// What the kernel granted, by stage.
     pub scheduling: BTreeMap<String, String>,
@@ -63,6 +63,37 @@ pub struct Report {
     /// Processor time of every process, s; that of `tendon` itself as `supervisor`.
     pub cpu_s: BTreeMap<String, f64>,
     /// Proportional resident memory of every process, MB (shared pages are divided among those who share).
+    pub memory_mb: BTreeMap<String, f64>,
+    /// Where the arm ended, mm in its base frame.
+    pub final_position_mm: [f64; 3],
+}
+
+/// What a session knows of itself beside what its stages measured.
+#[derive(Clone, Debug, Default)]
+pub struct SessionFacts {
+    /// Session name.
+    pub session: String,
+    /// How long samples flowed.
+    pub duration: Duration,
+    /// `simulate` or `replay`.
+    pub source: String,
+    /// `simulate` or `xarm`.
+    pub robot: String,
+    /// File of the model.
+    pub model: String,
+    /// The strategy's name.
+    pub strategy: String,
+    /// What the kernel granted, by stage.
+    pub scheduling: BTreeMap<String, String>,
+    /// Seconds of samples in a block if the session was a replay at full speed.
+    pub full_speed_block_s: Option<f64>,
+    /// How the target-zone task went, if there was one.
+    pub task: Option<TaskReport>,
+    /// Stages that ended and were started again.
+    pub restarts: u64,
+    /// Processor time of every process, s; that of `tendon` itself as `supervisor`.
+    pub cpu_s: BTreeMap<String, f64>,
+    /// Proportional resident memory of every process, MB.
     pub memory_mb: BTreeMap<String, f64>,
     /// Where the arm ended, mm in its base frame.
     pub final_position_mm: [f64; 3],
@@ -136,6 +167,22 @@ pub struct WindowStartSummary {
     pub max_ms: f64,
 }
 
+impl WindowStartSummary {
+    /// Summary of durations in ns.
+    pub fn of(durations: &Summary) -> WindowStartSummary {
+        let milliseconds = |ns: f64| ns / 1e6;
+        let histogram = &durations.histogram;
+        WindowStartSummary {
+            count: histogram.len(),
+            mean_ms: milliseconds(durations.mean_ns()),
+            sd_ms: milliseconds(durations.standard_deviation_ns()),
+            min_ms: milliseconds(if histogram.is_empty() { 0 } else { histogram.min() } as f64),
+            median_ms: milliseconds(histogram.value_at_quantile(0.5) as f64),
+            max_ms: milliseconds(histogram.max() as f64),
+        }
+    }
+}
+
 /// Messages of a topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MessageCounts {
@@ -193,10 +240,6 @@ impl Recognition {
         }
         recognition
     }
-
-    fn percent(correct: u64, windows: u64) -> f64 {
-        100.0 * correct as f64 / windows.max(1) as f64
-    }
 }
 
 /// Topic that a stage publishes.
@@ -211,11 +254,12 @@ fn topic(stage: Stage) -> &'static str {
 }
 
 impl Report {
-    /// Everything that the stages measured; what only the supervisor knows is empty.
-    pub fn of(measurements: &SessionMeasurements) -> Report {
-        let milliseconds = |ns: f64| ns / 1e6;
-        let window = &measurements.window_start_to_command;
-        let histogram = &window.histogram;
+    /// The report of a session that has ended.
+    pub fn new(facts: SessionFacts, measurements: &SessionMeasurements) -> Report {
+        let replay_x_real_time = facts.full_speed_block_s.map(|block_s| {
+            let blocks = measurements.counts(Stage::Acquisition).published;
+            blocks as f64 * block_s / measurements.flow().as_secs_f64().max(1e-9)
+        });
         let hops = Stage::ALL.into_iter().filter_map(|stage| {
             Some(Hop {
                 from: stage.upstream()?.name().to_owned(),
@@ -238,17 +282,17 @@ impl Report {
             Some((topic(upstream).to_owned(), counts))
         });
         Report {
+            session: facts.session,
+            duration_s: facts.duration.as_secs_f64(),
+            source: facts.source,
+            robot: facts.robot,
+            model: facts.model,
+            strategy: facts.strategy,
+            scheduling: facts.scheduling,
             hops: hops.collect(),
             work: work.collect(),
             newest_sample_to_command: LatencySummary::of(&measurements.newest_sample_to_command),
-            window_start_to_command: WindowStartSummary {
-                count: histogram.len(),
-                mean_ms: milliseconds(window.mean_ns()),
-                sd_ms: milliseconds(window.standard_deviation_ns()),
-                min_ms: milliseconds(if histogram.is_empty() { 0 } else { histogram.min() } as f64),
-                median_ms: milliseconds(histogram.value_at_quantile(0.5) as f64),
-                max_ms: milliseconds(histogram.max() as f64),
-            },
+            window_start_to_command: WindowStartSummary::of(&measurements.window_start_to_command),
             control_tick: LatencySummary::of(&measurements.control_tick),
             command_to_wire: LatencySummary::of(&measurements.command_to_wire),
             messages: messages.collect(),
@@ -259,105 +303,13 @@ impl Report {
                 .map(|stage| (stage.name().to_owned(), measurements.allocations(stage)))
                 .collect(),
             recognition: Recognition::of(&measurements.recognised),
-            ..Report::default()
+            replay_x_real_time,
+            task: facts.task,
+            restarts: facts.restarts,
+            cpu_s: facts.cpu_s,
+            memory_mb: facts.memory_mb,
+            final_position_mm: facts.final_position_mm,
         }
-    }
-
-    /// The report as a table for people.
-    pub fn table(&self) -> String {
-        let mut table = String::new();
-        self.write_table(&mut table).expect("writing to a String cannot fail");
-        table
-    }
-
-    fn write_table(&self, out: &mut String) -> std::fmt::Result {
-        writeln!(out, "{:<34}{:>9}{:>11}{:>11}{:>11}{:>11}", "", "messages", "p50", "p99", "p99.9", "max")?;
-        let row = |out: &mut String, name: &str, latency: &LatencySummary| {
-            let LatencySummary { count, p50_us, p99_us, p999_us, max_us } = latency;
-            writeln!(
-                out,
-                "  {name:<32}{count:>9}{p50_us:>8.0} us{p99_us:>8.0} us{p999_us:>8.0} us{max_us:>8.0} us"
-            )
-        };
-        writeln!(out, "transit (publish to receive)")?;
-        for hop in &self.hops {
-            row(out, &format!("{} to {}", hop.from, hop.to), &hop.transit)?;
-        }
-        writeln!(out, "work (receive to publish)")?;
-        for work in &self.work {
-            row(out, &work.stage, &work.work)?;
-        }
-        writeln!(out, "whole path")?;
-        row(out, "newest sample to command", &self.newest_sample_to_command)?;
-        let window = &self.window_start_to_command;
-        writeln!(
-            out,
-            "  window start to command: mean {:.1} ms, sd {:.2}, min {:.1}, median {:.1}, max {:.1} \
-             (the paper: mean 324, sd 14.6, min 297, median 326, max 356)",
-            window.mean_ms, window.sd_ms, window.min_ms, window.median_ms, window.max_ms
-        )?;
-        if self.control_tick.count > 0 {
-            row(out, "robot's control tick, lateness", &self.control_tick)?;
-        }
-        if self.command_to_wire.count > 0 {
-            row(out, "command to the arm's network", &self.command_to_wire)?;
-        }
-        write!(out, "messages")?;
-        for topic in ["blocks", "windows", "predictions", "commands"] {
-            let counts = self.messages.get(topic).copied().unwrap_or_default();
-            write!(out, "  {topic} {} (lost {}, stale {})", counts.published, counts.lost, counts.stale)?;
-        }
-        writeln!(out)?;
-        if self.restarts > 0 {
-            writeln!(out, "stages  ended and were started again: {}", self.restarts)?;
-        }
-        if self.skipped_blocks > 0 {
-            writeln!(out, "source  could not keep up and left out {} blocks", self.skipped_blocks)?;
-        }
-        if self.replaced_samples > 0 {
-            writeln!(out, "samples  {} were NaN or infinite and were replaced", self.replaced_samples)?;
-        }
-        self.write_recognition(out)?;
-        let total: f64 = self.cpu_s.values().sum();
-        write!(out, "processor  {:.1} % of one core:", 100.0 * total / self.duration_s.max(1e-9))?;
-        for (process, seconds) in &self.cpu_s {
-            write!(out, "  {process} {:.2}", 100.0 * seconds / self.duration_s.max(1e-9))?;
-        }
-        writeln!(out)?;
-        write!(out, "memory  {:.0} MB:", self.memory_mb.values().sum::<f64>())?;
-        for (process, megabytes) in &self.memory_mb {
-            write!(out, "  {process} {megabytes:.0}")?;
-        }
-        writeln!(out)?;
-        if let Some(speed) = self.replay_x_real_time {
-            writeln!(out, "replay  {speed:.0} x real time")?;
-        }
-        if let Some(task) = &self.task {
-            writeln!(out, "{task}")?;
-        }
-        Ok(())
-    }
-
-    fn write_recognition(&self, out: &mut String) -> std::fmt::Result {
-        let Recognition { windows, correct, per_gesture } = &self.recognition;
-        if *windows == 0 {
-            return writeln!(out, "recognition  no window lay wholly inside a known gesture");
-        }
-        write!(
-            out,
-            "recognition  {correct} of {windows} windows inside a gesture ({:.1} %):",
-            Recognition::percent(*correct, *windows)
-        )?;
-        for gesture in Gesture::ALL {
-            if let Some(recognition) = per_gesture.get(gesture.name()) {
-                write!(
-                    out,
-                    "  {gesture} {:.0} %",
-                    Recognition::percent(recognition.correct, recognition.windows)
-                )?;
-            }
-        }
-        writeln!(out)
     }
 }
 
@@ -385,7 +337,7 @@ mod tests {
             ..Measurement::default()
         };
         measurements.absorb(&decision, &[seen(Gesture::Extension), seen(Gesture::Grip)]);
-        let report = Report::of(&measurements);
+        let report = Report::new(SessionFacts::default(), &measurements);
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["hops"][2]["from"], "inference");
         assert_eq!(json["hops"][2]["to"], "decision");

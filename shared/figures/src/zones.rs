@@ -11,9 +11,9 @@ use plotters::prelude::{
     PathElement, RGBColor, Rectangle, Text, WHITE,
 };
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use tendon_task::{TaskReport, Workspace, ZoneScore, ZoneShape, ZoneTask};
+use tendon_zones::{TaskReport, Workspace, ZoneScore, ZoneShape, ZoneTask};
 
-use crate::figure::{FONT, Figure, FigureError, draw, text};
+use crate::canvas::{FONT, Figure, FigureError, draw, text};
 
 /// Pixels a mm, the same in both views and directions.
 const SCALE: f64 = 1.4;
@@ -248,7 +248,7 @@ fn colour(zone: &ZoneScore) -> RGBColor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tendon_task::TaskSettings;
+    use tendon_zones::TaskSettings;
 
     #[test]
     fn a_straight_way_is_two_points_and_corners_and_turns_are_kept() {

@@ -17,12 +17,14 @@
 #![forbid(unsafe_code)]
 
 mod report;
+mod run;
 mod settings;
 mod task;
 mod user;
 mod zone;
 
 pub use report::{TaskReport, ZoneScore};
+pub use run::{TaskKind, TaskPlan, TaskRun};
 pub use settings::{TaskSettings, TaskSettingsError, UserSettings};
 pub use task::ZoneTask;
 pub use user::SimulatedUser;

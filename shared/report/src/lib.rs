@@ -1,7 +1,8 @@
 //! Histograms of every hop and stage, and the report of a session.
 //!
 //! ```text
-//! measurements of every stage ─▶ SessionMeasurements ─┬─▶ Report ─▶ table, JSON
+//! measurements of every stage ─▶ SessionMeasurements ─┬─────────────▶ Report ─▶ table, JSON
+//! what the session knows of itself ─▶ SessionFacts ───│──────────────▲
 //!                                                     └─▶ interval log (hdrhistogram's standard format)
 //! ```
 //!
@@ -9,10 +10,15 @@
 //! stage) and the algorithmic one, which the window's length sets and *window start to command* includes.
 #![forbid(unsafe_code)]
 
+mod log;
 mod measurements;
 mod report;
+mod table;
 
+pub use log::write_latency_log;
 pub use measurements::{Counts, SessionMeasurements, Summary, duration_histogram};
 pub use report::{
-    GestureRecognition, Hop, LatencySummary, MessageCounts, Recognition, Report, WindowStartSummary, Work,
+    GestureRecognition, Hop, LatencySummary, MessageCounts, Recognition, Report, SessionFacts,
+    WindowStartSummary, Work,
 };
+pub use table::running_table;

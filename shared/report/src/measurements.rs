@@ -1,11 +1,8 @@
 //! What all stages of a session measured, as histograms.
 
-use hdrhistogram::Histogram;
-use hdrhistogram::serialization::Serializer;
-use hdrhistogram::serialization::interval_log::IntervalLogWriter;
-use std::io::Write;
 use std::time::Duration;
 
+use hdrhistogram::Histogram;
 use tendon_gesture::Gesture;
 use tendon_messages::{Measurement, MeasurementHeader, STAGE_COUNT, Stage};
 
@@ -242,36 +239,6 @@ impl SessionMeasurements {
                     taken.received + taken.lost >= self.counts(upstream).published
                 })
             })
-    }
-
-    /// Writes all histograms as one interval of an hdrhistogram log, one tag a hop and stage.
-    ///
-    /// # Errors
-    ///
-    /// When the log cannot be written.
-    pub fn write_interval<W: Write, S: Serializer>(
-        &self,
-        log: &mut IntervalLogWriter<'_, '_, W, S>,
-        start: Duration,
-        length: Duration,
-    ) -> std::io::Result<()> {
-        let transits = Stage::ALL
-            .into_iter()
-            .filter_map(|stage| Some((format!("{}-to-{}", stage.upstream()?.name(), stage.name()), stage)))
-            .map(|(name, stage)| (name, self.transit(stage)));
-        let works = Stage::ALL.into_iter().map(|stage| (format!("{}-work", stage.name()), self.work(stage)));
-        let whole = [
-            ("newest-sample-to-command".to_owned(), &self.newest_sample_to_command),
-            ("window-start-to-command".to_owned(), &self.window_start_to_command.histogram),
-            ("control-tick".to_owned(), &self.control_tick),
-            ("command-to-wire".to_owned(), &self.command_to_wire),
-        ];
-        for (name, histogram) in transits.chain(works).chain(whole) {
-            let tag = hdrhistogram::serialization::interval_log::Tag::new(&name);
-            log.write_histogram(histogram, start, length, tag)
-                .map_err(|error| std::io::Error::other(format!("{error:?}")))?;
-        }
-        Ok(())
     }
 }
 
