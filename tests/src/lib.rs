@@ -45,6 +45,12 @@ pub fn model(name: &str) -> PathBuf {
     repository().join("models").join(format!("{name}.onnx"))
 }
 
+/// The library that runs the models, where scripts/fetch-onnxruntime puts it.
+pub fn runtime_library() -> PathBuf {
+    let given = std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from);
+    given.unwrap_or_else(|| repository().join(".cache/onnxruntime/libonnxruntime.so"))
+}
+
 /// A program of the profile that the test was built for.
 pub fn program(name: &str) -> PathBuf {
     let test = std::env::current_exe().unwrap();
@@ -112,7 +118,7 @@ impl TendonBuilder {
         command.args(arguments).current_dir(folder.path());
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         if std::env::var_os("ORT_DYLIB_PATH").is_none() {
-            command.env("ORT_DYLIB_PATH", repository().join(".cache/onnxruntime/libonnxruntime.so"));
+            command.env("ORT_DYLIB_PATH", runtime_library());
         }
         TendonBuilder { command, session: session.clone(), folder }
     }
@@ -139,6 +145,21 @@ impl TendonBuilder {
         }
         self.command = command;
         self
+    }
+
+    /// The command, for a test that starts it itself with streams of its own, and the folder in which it writes
+    /// `report.json`. With `on_terminal` its standard input becomes its controlling terminal: setsid(1).
+    pub fn into_command(self, on_terminal: bool) -> (Command, TempDir) {
+        if !on_terminal {
+            return (self.command, self.folder);
+        }
+        let mut command = Command::new("setsid");
+        command.arg("--ctty").arg(self.command.get_program()).args(self.command.get_args());
+        command.current_dir(self.folder.path());
+        for (name, value) in self.command.get_envs() {
+            command.env(name, value.unwrap_or_default());
+        }
+        (command, self.folder)
     }
 
     /// Sets an environment variable.
@@ -261,6 +282,11 @@ impl Tendon {
     /// Process id of `tendon` itself.
     pub fn id(&self) -> u32 {
         self.process.id()
+    }
+
+    /// The session's name.
+    pub fn session(&self) -> &SessionName {
+        &self.session
     }
 
     /// Process ids of the stages that run.

@@ -167,8 +167,9 @@ impl Default for SimulateSettings {
 }
 
 /// How fast a recording is replayed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Pace {
     /// As fast as it was recorded. The newest messages are kept; what a slow stage misses is counted.
     True,
@@ -284,8 +285,9 @@ impl Default for RobotSettings {
 }
 
 /// Whether real-time scheduling is used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Realtime {
     /// Where the rights allow it.
     Auto,
