@@ -7,9 +7,9 @@ use std::path::Path;
 use tendon_classifier::{Recogniser, runtime_library};
 use tendon_config::{Config, Pace, Source};
 use tendon_gesture::{Gesture, Strategy};
-use tendon_latency::Report;
 use tendon_messages::{PREDICTIONS, WINDOWS};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
+use tendon_report::Report;
 use tendon_signal::SignalChain;
 use tendon_system_tests::recordings::{MOVEMENT, REST, Stretch, real_three_dc, write_table, write_three_dc};
 use tendon_system_tests::{

@@ -3,7 +3,7 @@
 
 use nix::sys::signal::Signal;
 use tendon_gesture::Gesture;
-use tendon_latency::Report;
+use tendon_report::Report;
 use tendon_system_tests::{TendonBuilder, model, unique_session};
 
 /// What a stage may have published after the next one stopped, or what lies in a full queue.

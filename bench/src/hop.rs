@@ -11,9 +11,9 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use tendon_config::{Realtime, SchedulingSettings};
-use tendon_latency::{LatencySummary, duration_histogram};
 use tendon_messages::Stage;
 use tendon_process::{Control, Policy, Scheduling, Wake, schedule};
+use tendon_report::{LatencySummary, duration_histogram};
 use tendon_transport::{Leftovers, SessionLock, SessionName, now_ns};
 
 use crate::busy;

@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
-use tendon_latency::{LatencySummary, Report, duration_histogram};
+use tendon_report::{LatencySummary, Report, duration_histogram};
 
 use crate::{busy, session};
 

@@ -31,7 +31,7 @@ use clap::{Parser, Subcommand};
 use nix::sys::prctl::set_pdeathsig;
 use nix::sys::signal::Signal;
 use serde::Serialize;
-use tendon_latency::LatencySummary;
+use tendon_report::LatencySummary;
 
 /// Measures hops beside their peers, the stages' work alone, and replay at full speed.
 #[derive(Debug, Parser)]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
-use tendon_latency::Report;
+use tendon_report::Report;
 
 /// The program `tendon` beside this one; `None`, said on the terminal, where it has not been built.
 pub fn program() -> anyhow::Result<Option<PathBuf>> {

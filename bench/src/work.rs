@@ -11,8 +11,8 @@ use tendon_arm::{STEP_NS, SimulatedArm, Twist};
 use tendon_classifier::Recogniser;
 use tendon_config::Config;
 use tendon_gesture::{Decider, Evidence, Gesture};
-use tendon_latency::{LatencySummary, duration_histogram};
 use tendon_messages::Stage;
+use tendon_report::{LatencySummary, duration_histogram};
 use tendon_signal::SignalChain;
 use tendon_transport::now_ns;
 

@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tempfile::TempDir;
-use tendon_latency::Report;
+use tendon_report::Report;
 use tendon_transport::{Leftovers, SessionName};
 
 /// Longest wait for anything: only for a test that would otherwise hang, so generous.

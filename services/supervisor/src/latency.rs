@@ -1,13 +1,13 @@
-//! `tendon latency`: looks on at a running session.
+//! `tendon latency`: shows the latencies of a running session.
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use clap::Args;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tendon_latency::{LatencySummary, SessionMeasurements};
-use tendon_messages::{MEASUREMENTS, Stage};
-use tendon_transport::{Delivery, Session, SessionLock, SessionLockError, SessionName, Subscriber};
+use tendon_observer::{Observer, ObserverError};
+use tendon_report::running_table;
+use tendon_transport::SessionName;
 
 use crate::Failure;
 
@@ -30,28 +30,14 @@ pub struct Options {
 
 /// Shows the latencies since it was started, again and again.
 pub fn show(options: &Options) -> Result<(), Failure> {
-    ensure_running(&options.session).map_err(Failure::input)?;
-    watch(options).map_err(Failure::running)
+    let observer = Observer::join(&options.session, "latency").map_err(|error| match error {
+        ObserverError::NotRunning { .. } | ObserverError::NoTopic { .. } => Failure::input(error),
+        _ => Failure::running(error),
+    })?;
+    watch(options, observer).map_err(Failure::running)
 }
 
-fn ensure_running(session: &SessionName) -> anyhow::Result<()> {
-    ensure!(
-        is_running(session)?,
-        "no session `{session}` is running: start it with `tendon run`, or name another with --session"
-    );
-    Ok(())
-}
-
-/// A session runs while a supervisor holds its lock.
-fn is_running(session: &SessionName) -> anyhow::Result<bool> {
-    match SessionLock::take(session) {
-        Ok(_lock) => Ok(false),
-        Err(SessionLockError::InUse { .. }) => Ok(true),
-        Err(error) => Err(error.into()),
-    }
-}
-
-fn watch(options: &Options) -> anyhow::Result<()> {
+fn watch(options: &Options, mut observer: Observer) -> anyhow::Result<()> {
     let (sender, stop) = std::sync::mpsc::channel();
     let mut signals =
         signal_hook::iterator::Signals::new([SIGINT, SIGTERM]).context("cannot handle signals")?;
@@ -59,20 +45,14 @@ fn watch(options: &Options) -> anyhow::Result<()> {
         .name("signals".to_owned())
         .spawn(move || signals.forever().next().map(|_| sender.send(())))
         .context("cannot start a thread")?;
-    let session = Session::join(&options.session, "latency")?;
-    let mut measurements = Subscriber::open(&session, &MEASUREMENTS, None, Delivery::Live)?;
-    let mut gathered = SessionMeasurements::default();
     let begun = Instant::now();
     let mut shown = begun;
     while stop.recv_timeout(TICK).is_err() {
-        measurements.acknowledge_wakes()?;
-        while let Some(batch) = measurements.receive()? {
-            gathered.absorb(batch.header(), batch.payload());
-        }
+        observer.gather(|_| {})?;
         if shown.elapsed() >= options.interval {
             shown = Instant::now();
-            println!("{}", table(begun.elapsed(), &gathered));
-            if !is_running(&options.session)? {
+            print!("{}", running_table(begun.elapsed(), observer.measurements()));
+            if !observer.is_running()? {
                 println!("session `{}` has ended", options.session);
                 break;
             }
@@ -82,33 +62,4 @@ fn watch(options: &Options) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-fn table(elapsed: Duration, gathered: &SessionMeasurements) -> String {
-    let mut lines = vec![format!(
-        "{:>7.0} s looked on{:>24}{:>11}{:>11}{:>11}{:>11}",
-        elapsed.as_secs_f64(),
-        "messages",
-        "p50",
-        "p99",
-        "p99.9",
-        "max"
-    )];
-    let mut row = |name: String, latency: LatencySummary| {
-        let LatencySummary { count, p50_us, p99_us, p999_us, max_us } = latency;
-        lines.push(format!(
-            "  {name:<32}{count:>9}{p50_us:>8.0} us{p99_us:>8.0} us{p999_us:>8.0} us{max_us:>8.0} us"
-        ));
-    };
-    for stage in Stage::ALL {
-        if let Some(upstream) = stage.upstream() {
-            let name = format!("{} to {}", upstream.name(), stage.name());
-            row(name, LatencySummary::of(gathered.transit(stage)));
-        }
-    }
-    for stage in Stage::ALL {
-        row(format!("{} (work)", stage.name()), LatencySummary::of(gathered.work(stage)));
-    }
-    row("newest sample to command".to_owned(), LatencySummary::of(&gathered.newest_sample_to_command));
-    lines.join("\n")
 }

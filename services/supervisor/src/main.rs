@@ -22,7 +22,7 @@ mod resources;
 mod run;
 mod screen;
 mod strategies;
-mod task;
+mod zones;
 
 use std::io::Write;
 use std::process::ExitCode;

@@ -9,31 +9,30 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use clap::Args;
-use hdrhistogram::serialization::V2DeflateSerializer;
-use hdrhistogram::serialization::interval_log::IntervalLogWriterBuilder;
 use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tendon_config::{Backend, Config, Gestures, Pace, Realtime, Source};
-use tendon_evaluation::latency_figure;
+use tendon_figures::latency_figure;
 use tendon_gesture::{Gesture, Strategy};
-use tendon_latency::{Report, SessionMeasurements};
 use tendon_messages::{
-    BLOCKS, COMMANDS, MEASUREMENTS, Measurement, MeasurementHeader, PREDICTIONS, Permission, STATE_LENGTH,
-    STATES, Stage, StateHeader, StopReason, TWIST_LENGTH, WINDOWS,
+    BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, Permission, STATE_LENGTH, STATES, Stage, StateHeader,
+    StopReason, TWIST_LENGTH, WINDOWS,
 };
+use tendon_observer::Observer;
 use tendon_process::{BATCH_LENGTH, Order, Ready};
+use tendon_report::{Report, SessionFacts, SessionMeasurements, write_latency_log};
 use tendon_transport::{
-    Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber, required_bytes,
-    shared_memory_directory,
+    Delivery, Leftovers, SessionLock, SessionName, required_bytes, shared_memory_directory,
 };
+use tendon_zones::{TaskKind, TaskRun};
 
 use crate::Failure;
 use crate::arm_mark::ArmMark;
 use crate::children::{Children, Event};
 use crate::resources;
 use crate::screen::{GESTURE_KEYS, KEYS, Keyboard, Screen, live_line};
-use crate::task::{Task, TaskOption};
+use crate::zones;
 
 /// Time between two looks at what the stages say. Their messages do not wait for it.
 const TICK: Duration = Duration::from_millis(100);
@@ -100,13 +99,13 @@ pub struct Options {
     /// Steer the arm into zones and score how it went. With the simulated DAQ and none of --script, --random and
     /// --keyboard, a simulated user does it.
     #[arg(long, value_enum)]
-    task: Option<TaskOption>,
+    task: Option<TaskKind>,
     /// Seed of the simulated DAQ: the same seed gives the same samples.
     #[arg(long)]
     seed: Option<u64>,
     /// How rest and movement are told apart.
     #[arg(long, value_enum)]
-    strategy: Option<StrategyOption>,
+    strategy: Option<Strategy>,
     /// The ONNX model of the gestures.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -122,28 +121,6 @@ pub struct Options {
 enum PaceOption {
     True,
     Full,
-}
-
-/// A strategy on the command line.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub enum StrategyOption {
-    /// Activity detector, then five gestures.
-    Threshold,
-    /// A model of rest and move, then five gestures.
-    #[value(name = "two_stage", alias = "two-stage")]
-    TwoStage,
-    /// Six classes, rest among them.
-    Direct,
-}
-
-impl From<StrategyOption> for Strategy {
-    fn from(option: StrategyOption) -> Strategy {
-        match option {
-            StrategyOption::Threshold => Strategy::Threshold,
-            StrategyOption::TwoStage => Strategy::TwoStage,
-            StrategyOption::Direct => Strategy::Direct,
-        }
-    }
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -206,7 +183,7 @@ impl Options {
             acquisition.simulate.seed = seed;
         }
         if let Some(strategy) = self.strategy {
-            config.decision.strategy = strategy.into();
+            config.decision.strategy = strategy;
         }
         if let Some(model) = &self.model {
             config.inference.model = Some(model.clone());
@@ -312,11 +289,10 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         .map_err(Failure::input)?;
     let (sender, events) = channel();
     stop_on_signals(&sender).map_err(Failure::running)?;
-    let mut observer = Observer::open(config, options.latency_log.as_deref()).map_err(Failure::input)?;
-    if let Some(task) = options.task {
-        let has_simulated_user = options.has_simulated_user(config.acquisition.source);
-        observer.task = Some(Task::new(task, config, has_simulated_user).map_err(Failure::input)?);
-    }
+    let observer = Observer::before_the_stages(&config.session, "supervisor").map_err(Failure::input)?;
+    let has_simulated_user = options.has_simulated_user(config.acquisition.source);
+    let task = options.task.map(|kind| zones::task(kind, config, has_simulated_user));
+    let task = task.transpose().map_err(Failure::input)?;
     // From before the arm goes to its start position: it can be stopped then, too.
     let keyboard = if options.keyboard || Keyboard::is_there() {
         Some(Keyboard::listen(&sender, options.keyboard).map_err(Failure::input)?)
@@ -340,6 +316,7 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         events,
         children,
         observer,
+        task,
         screen: Screen::new(),
         restarts: Vec::new(),
         has_begun: false,
@@ -367,6 +344,12 @@ fn write_figures(folder: &Path, gathered: &SessionMeasurements) -> anyhow::Resul
     Ok(())
 }
 
+fn write_log(path: &Path, measurements: &SessionMeasurements, length: Duration) -> anyhow::Result<()> {
+    let failed = || format!("cannot write {}", path.display());
+    let mut file = BufWriter::new(File::create(path).with_context(failed)?);
+    write_latency_log(measurements, length, &mut file).with_context(failed)
+}
+
 /// Writes what a `--json FILE` asks for.
 pub fn write_json(path: &Path, content: &impl Serialize) -> anyhow::Result<()> {
     let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
@@ -388,65 +371,15 @@ fn stop_on_signals(events: &Sender<Event>) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The supervisor's own subscriptions, and what it gathers from them.
-struct Observer {
-    measurements: Subscriber<MeasurementHeader, Measurement>,
-    states: Subscriber<StateHeader, f32>,
-    gathered: SessionMeasurements,
-    state: StateHeader,
-    state_payload: [f32; STATE_LENGTH],
-    task: Option<Task>,
-    log: Option<PathBuf>,
-    // Ports are closed before the membership they belong to.
-    _session: Session,
-}
-
-impl Observer {
-    fn open(config: &Config, log: Option<&Path>) -> anyhow::Result<Observer> {
-        let session = Session::join(&config.session, "supervisor")?;
-        Ok(Observer {
-            measurements: Subscriber::open(&session, &MEASUREMENTS, None, Delivery::Live)?,
-            states: Subscriber::open(&session, &STATES, None, Delivery::Live)?,
-            gathered: SessionMeasurements::default(),
-            state: StateHeader::default(),
-            state_payload: [0.0; STATE_LENGTH],
-            task: None,
-            log: log.map(Path::to_owned),
-            _session: session,
-        })
-    }
-
-    /// Takes everything that has come.
-    fn gather(&mut self) -> anyhow::Result<()> {
-        self.measurements.acknowledge_wakes()?;
-        while let Some(batch) = self.measurements.receive()? {
-            self.gathered.absorb(batch.header(), batch.payload());
+/// Takes everything that the stages have said, and lets the task see every state.
+fn gather(observer: &mut Observer, task: &mut Option<TaskRun>) -> anyhow::Result<()> {
+    let mut no_room = Ok(());
+    observer.gather(|state| {
+        if let Some(Err(error)) = task.as_mut().map(|task| task.observe(&state.header, state.position_mm())) {
+            no_room = Err(error);
         }
-        self.states.acknowledge_wakes()?;
-        while let Some(state) = self.states.receive()? {
-            self.state = *state.header();
-            if let Ok(payload) = state.payload().try_into() {
-                self.state_payload = payload;
-                if let Some(task) = &mut self.task {
-                    let [.., x, y, z, _, _, _] = payload;
-                    task.observe(state.header(), [x, y, z])?;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn write_log(&self, length: Duration) -> anyhow::Result<()> {
-        let Some(path) = &self.log else { return Ok(()) };
-        let failed = || format!("cannot write {}", path.display());
-        let mut file = BufWriter::new(File::create(path).with_context(failed)?);
-        let mut serializer = V2DeflateSerializer::new();
-        let mut log = IntervalLogWriterBuilder::new()
-            .add_comment("Tendon: durations in ns, one tag a hop, stage and whole path")
-            .begin_log_with(&mut file, &mut serializer)
-            .with_context(failed)?;
-        self.gathered.write_interval(&mut log, Duration::ZERO, length).with_context(failed)
-    }
+    })?;
+    Ok(no_room?)
 }
 
 /// A running session as the supervisor sees it.
@@ -455,6 +388,7 @@ struct Watch<'a> {
     events: Receiver<Event>,
     children: Children,
     observer: Observer,
+    task: Option<TaskRun>,
     screen: Screen,
     /// In the order in which they happened.
     restarts: Vec<Restart>,
@@ -497,7 +431,7 @@ impl Watch<'_> {
             println!("  {KEYS}");
         }
         let watched = self.until_the_end(&mut started, options.duration);
-        let report = self.stop_and_report(&started);
+        let report = self.stop_and_report(&started, options.latency_log.as_deref());
         drop(keyboard);
         self.screen.finish();
         let written = report.and_then(|report| self.write(options, &report)).map_err(Failure::running);
@@ -509,9 +443,9 @@ impl Watch<'_> {
     fn write(&self, options: &Options, report: &Report) -> anyhow::Result<()> {
         println!("{}", report.table());
         if let Some(folder) = &options.figures {
-            write_figures(folder, &self.observer.gathered)?;
-            if let Some(task) = &self.observer.task {
-                task.write_figures(folder)?;
+            write_figures(folder, self.observer.measurements())?;
+            if let Some(task) = &self.task {
+                zones::write_figures(folder, task)?;
             }
         }
         match &options.json {
@@ -523,12 +457,15 @@ impl Watch<'_> {
     /// Whether the arm was left free to move, or as it was found if it was never reached. `was_stopped`: it was found
     /// stopped.
     fn left_in_good_order(&self, was_stopped: bool) -> bool {
-        let state = &self.observer.state;
-        let never_reached = !self.has_begun && state.stop_reason == StopReason::ConnectionBroke as u8;
-        let is_stopped = if self.observer.states.received() == 0 || never_reached {
-            was_stopped
-        } else {
-            Permission::from_number(state.permission) == Permission::Stopped
+        let is_stopped = match self.observer.newest_state() {
+            None => was_stopped,
+            Some(state) => {
+                let header = &state.header;
+                let never_reached =
+                    !self.has_begun && header.stop_reason == StopReason::ConnectionBroke as u8;
+                let permission = Permission::from_number(header.permission);
+                if never_reached { was_stopped } else { permission == Permission::Stopped }
+            }
         };
         self.robot_obeyed && !is_stopped
     }
@@ -576,10 +513,10 @@ impl Watch<'_> {
 
     /// Stops all stages that run, robot first, and takes what they say last.
     fn stop_stages(&mut self) -> anyhow::Result<()> {
-        let Watch { children, events, observer, .. } = self;
+        let Watch { children, events, observer, task, .. } = self;
         let runs = children.process_id(Stage::Robot).is_some();
-        let killed = children.stop(events, || observer.gather())?;
-        observer.gather()?;
+        let killed = children.stop(events, || gather(observer, task))?;
+        gather(observer, task)?;
         self.robot_obeyed |= runs && !killed.contains(&Stage::Robot.name());
         ensure!(killed.is_empty(), "{} did not stop and had to be killed", killed.join(", "));
         Ok(())
@@ -592,7 +529,7 @@ impl Watch<'_> {
                 println!("  {:<12}{}", stage.name(), ready.detail);
             }
         }
-        if let Some(task) = &self.observer.task {
+        if let Some(task) = &self.task {
             println!("  {:<12}{}", "task", task.describe());
         }
         // All stages ask for the same, but for the priority.
@@ -609,7 +546,7 @@ impl Watch<'_> {
         let begun = Instant::now();
         let mut finished = None;
         let tick = match self.config.delivery() {
-            Delivery::Live if self.observer.task.is_some() => TASK_TICK,
+            Delivery::Live if self.task.is_some() => TASK_TICK,
             Delivery::Live => TICK,
             Delivery::Lossless => LOSSLESS_TICK,
         };
@@ -623,23 +560,27 @@ impl Watch<'_> {
                 Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
             }
-            self.observer.gather().map_err(Failure::running)?;
-            let mut line = live_line(begun.elapsed(), &self.observer.state, &self.observer.state_payload);
-            if let Some(task) = &mut self.observer.task {
+            gather(&mut self.observer, &mut self.task).map_err(Failure::running)?;
+            let (header, payload) = self
+                .observer
+                .newest_state()
+                .map_or((StateHeader::default(), [0.0; STATE_LENGTH]), |state| (state.header, state.payload));
+            let mut line = live_line(begun.elapsed(), &header, &payload);
+            if let Some(task) = &mut self.task {
                 if let Some(gesture) = task.new_gesture() {
                     self.children.order(Stage::Acquisition, Order::Gesture(gesture));
                 }
                 line.push_str(&task.live());
             }
             self.screen.show(&line);
-            if self.observer.gathered.has_finished() && finished.is_none() {
+            if self.observer.measurements().has_finished() && finished.is_none() {
                 finished = Some(Instant::now());
             }
             // What a stage missed while it was gone is never taken.
             let is_over = !self.restarts.is_empty()
                 && finished.is_some_and(|finished| finished.elapsed() > LAST_OF_RECORDING);
             if duration.is_some_and(|duration| begun.elapsed() >= duration)
-                || self.observer.gathered.is_drained()
+                || self.observer.measurements().is_drained()
                 || is_over
             {
                 return Ok(());
@@ -718,7 +659,7 @@ impl Watch<'_> {
     }
 
     /// Stops all stages, robot first, and says what was measured.
-    fn stop_and_report(&mut self, started: &Started) -> anyhow::Result<Report> {
+    fn stop_and_report(&mut self, started: &Started, log: Option<&Path>) -> anyhow::Result<Report> {
         let duration = started.at.elapsed();
         let mut cpu_s = BTreeMap::new();
         let mut memory_mb = BTreeMap::new();
@@ -736,34 +677,25 @@ impl Watch<'_> {
             cpu_s.insert("supervisor".to_owned(), seconds - started.own_cpu_s);
             memory_mb.insert("supervisor".to_owned(), megabytes);
         }
-        self.observer.gather()?;
-        self.observer.gathered.ending();
+        gather(&mut self.observer, &mut self.task)?;
+        self.observer.ending();
         self.stop_stages()?;
-        self.observer.write_log(duration)?;
-        Ok(self.report(started, duration, cpu_s, memory_mb))
+        if let Some(path) = log {
+            write_log(path, self.observer.measurements(), duration)?;
+        }
+        let facts = SessionFacts { duration, cpu_s, memory_mb, ..self.facts(started) };
+        Ok(Report::new(facts, self.observer.measurements()))
     }
 
-    fn report(
-        &self,
-        started: &Started,
-        duration: Duration,
-        cpu_s: BTreeMap<String, f64>,
-        memory_mb: BTreeMap<String, f64>,
-    ) -> Report {
+    /// What the session knows of itself, but for how long it took and what it used.
+    fn facts(&self, started: &Started) -> SessionFacts {
         let Config { acquisition, decision, robot, .. } = self.config;
-        let gathered = &self.observer.gathered;
-        let replay_x_real_time = (self.config.delivery() == Delivery::Lossless).then(|| {
-            let blocks = gathered.counts(Stage::Acquisition).published;
-            let samples = blocks as f64 * acquisition.block_samples as f64;
-            samples / acquisition.sample_rate_hz / gathered.flow().as_secs_f64().max(1e-9)
-        });
         let detail = |stage| started.ready.get(&stage).map_or(String::new(), |ready| ready.detail.clone());
         let scheduling =
             |(stage, ready): (&Stage, &Ready)| (stage.name().to_owned(), ready.scheduling.to_string());
-        let [x, y, z] = [7, 8, 9].map(|index| f64::from(self.observer.state_payload[index]));
-        Report {
+        let is_full_speed = self.config.delivery() == Delivery::Lossless;
+        SessionFacts {
             session: self.config.session.to_string(),
-            duration_s: duration.as_secs_f64(),
             source: match acquisition.source {
                 Source::Simulate => "simulate".to_owned(),
                 Source::Replay => "replay".to_owned(),
@@ -775,13 +707,15 @@ impl Watch<'_> {
             model: detail(Stage::Inference),
             strategy: decision.strategy.name().to_owned(),
             scheduling: started.ready.iter().map(scheduling).collect(),
-            replay_x_real_time,
-            cpu_s,
-            memory_mb,
-            final_position_mm: [x, y, z],
+            full_speed_block_s: is_full_speed
+                .then(|| acquisition.block_samples as f64 / acquisition.sample_rate_hz),
+            final_position_mm: self
+                .observer
+                .newest_state()
+                .map_or([0.0; 3], |state| state.position_mm().map(f64::from)),
             restarts: self.restarts.len() as u64,
-            task: self.observer.task.as_ref().and_then(|task| task.report(self.observer.states.lost())),
-            ..Report::of(gathered)
+            task: self.task.as_ref().and_then(|task| task.report(self.observer.states_lost())),
+            ..SessionFacts::default()
         }
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Display};
 
 use serde::{Deserialize, Serialize};
-use tendon_latency::LatencySummary;
+use tendon_report::LatencySummary;
 
 use crate::confusion::ClassScores;
 use crate::tally::Tally;

@@ -1,8 +1,8 @@
 //! How well a classifier recognises gestures.
 //!
 //! ```text
-//! window ─▶ probabilities ─▶ Tally ─▶ Evaluation ─┬─▶ text, JSON
-//! its true gesture, person, repetition ─┘         └─▶ figures (PNG, SVG)
+//! window ─▶ probabilities ─▶ Tally ─▶ Evaluation ─▶ text, JSON
+//! its true gesture, person, repetition ─┘
 //! ```
 //!
 //! Scores are scikit-learn's, to the last digit: `classification_report`, `confusion_matrix`, `log_loss`.
@@ -11,13 +11,9 @@
 mod confusion;
 mod continuous;
 mod evaluation;
-mod figure;
 mod tally;
-mod zones_figure;
 
 pub use confusion::{ClassScores, Confusion};
 pub use continuous::{CuePart, GestureWindows, RepetitionScores, Step, StrategyScores, StrategyTally, Times};
 pub use evaluation::{ConfusedPair, Evaluation, Group, Spread};
-pub use figure::{FigureError, confusion_figure, latency_figure};
 pub use tally::{Answer, Origin, Tally};
-pub use zones_figure::zones_figure;

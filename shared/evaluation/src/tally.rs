@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use hdrhistogram::Histogram;
 use tendon_gesture::{Class, Gesture};
-use tendon_latency::duration_histogram;
+use tendon_report::duration_histogram;
 
 use crate::confusion::Confusion;
 use crate::evaluation::{Evaluation, Group};

@@ -1,0 +1,40 @@
+//! The target-zone task of `tendon run --task`, as the configuration describes it, and its figures.
+
+use std::path::Path;
+
+use anyhow::Context;
+use tendon_arm::SimulatedArm;
+use tendon_config::Config;
+use tendon_figures::zones_figure;
+use tendon_gesture::Strategy;
+use tendon_zones::{TaskKind, TaskPlan, TaskRun, Workspace};
+
+/// The task of a session with this configuration.
+///
+/// # Errors
+///
+/// When there is no room for zones around the arm's start.
+pub fn task(kind: TaskKind, config: &Config, has_simulated_user: bool) -> anyhow::Result<TaskRun> {
+    let arm = &config.robot.arm;
+    Ok(TaskRun::new(TaskPlan {
+        kind,
+        settings: config.task.clone(),
+        workspace: Workspace { min_mm: arm.workspace_min_mm.into(), max_mm: arm.workspace_max_mm.into() },
+        start_mm: SimulatedArm::new(arm.clone(), 0)?.state().position_mm.into(),
+        calibration_s: match config.decision.strategy {
+            Strategy::Threshold => config.dsp.activity.calibration_s,
+            Strategy::TwoStage | Strategy::Direct => 0.0,
+        },
+        speed_mm_per_s: config.decision.speed_mm_per_s,
+        has_simulated_user,
+    })?)
+}
+
+/// Draws the zones as PNG and SVG in `folder`, which is there.
+pub fn write_figures(folder: &Path, run: &TaskRun) -> anyhow::Result<()> {
+    let Some((task, report)) = run.under_way().zip(run.report(0)) else { return Ok(()) };
+    for file in ["zones.png", "zones.svg"] {
+        zones_figure(&folder.join(file), task, &report).context("the task's figure")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,338 @@
+//! Which recordings lie under the paths that are given, whatever their layout.
+
+mod problem;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use tendon_recordings::labels::{self, LabelledFile, is_table};
+use tendon_recordings::{RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
+
+use crate::recording::{Content, Recording};
+use crate::settings::DatasetSettings;
+
+pub use problem::ListingError;
+
+/// How recordings lie on disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Layout {
+    /// `ParticipantP/{train,test}/EMG/3dc_EMG_gesture_R_G.txt`, at 1000 Hz.
+    ThreeDc,
+    /// Ozdemir 2022, a `.mat` file a person.
+    OzdemirMat,
+    /// Ozdemir 2022, a file a trial: `P<person>_C<cycle>_G<gesture>.csv`.
+    OzdemirTrials,
+    /// Text tables and a `labels.csv`.
+    Labelled,
+}
+
+impl fmt::Display for Layout {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Layout::ThreeDc => "3DC",
+            Layout::OzdemirMat => "Ozdemir 2022 (.mat)",
+            Layout::OzdemirTrials => "Ozdemir 2022 (a .csv a trial)",
+            Layout::Labelled => "tables with labels.csv",
+        })
+    }
+}
+
+/// What [`list`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recordings {
+    /// The layout of them all.
+    pub layout: Layout,
+    /// The recordings, in the order of a data set's windows.
+    pub recordings: Vec<Recording>,
+    /// What looks like a recording, but cannot be used, and why.
+    pub skipped: Vec<SkippedEntry>,
+}
+
+/// Lists the recordings at or below `paths`. What lies there tells the layout:
+///
+/// | found | recordings |
+/// |---|---|
+/// | a folder `ParticipantP/{train,test}/EMG` | 3DC: its files `3dc_EMG_gesture_R_G.txt`, each repetition R joined |
+/// | files `.mat` | Ozdemir 2022: one a person |
+/// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
+/// | a folder with `labels.csv` | the tables that it names |
+///
+/// What looks like a recording and is none of these is listed as skipped.
+///
+/// # Errors
+/// When there is no recording under one of the paths, they are of several layouts, somebody's recording is there
+/// twice, the settings do not fit the recordings (filtered before or not, no sampling rate), `labels.csv` is
+/// wrong, or a folder cannot be read.
+pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, ListingError> {
+    let mut found = Found::default();
+    for path in paths {
+        let skipped_before = found.skipped.len();
+        if found.gather(path, true)? == 0 {
+            let hint = found.skipped.get(skipped_before);
+            let hint = hint.map(|skipped| format!(" ({}: {})", skipped.path.display(), skipped.reason));
+            return Err(ListingError::NoRecordings { path: path.clone(), hint: hint.unwrap_or_default() });
+        }
+    }
+    let Some((layout, first)) = found.candidates.first().cloned() else {
+        return Err(ListingError::NoRecordings { path: PathBuf::new(), hint: String::new() });
+    };
+    if let Some((other, second)) = found.candidates.iter().find(|(other, _)| *other != layout).cloned() {
+        return Err(ListingError::SeveralLayouts { first, layout, second, other });
+    }
+    let mut skipped = found.skipped;
+    let candidates: Vec<PathBuf> = found.candidates.into_iter().map(|(_, path)| path).collect();
+    let recordings = match layout {
+        Layout::ThreeDc => three_dc_recordings(&candidates, &mut skipped)?,
+        Layout::OzdemirMat => {
+            check_filtered(settings, &candidates)?;
+            mat_recordings(&candidates, &mut skipped)?
+        }
+        Layout::OzdemirTrials => {
+            check_filtered(settings, &candidates)?;
+            trial_recordings(&candidates)?
+        }
+        Layout::Labelled => {
+            if settings.recording_rate_hz.is_none() {
+                let labels = candidates[0].join(labels::FILE_NAME);
+                return Err(ListingError::NoRate { labels });
+            }
+            labelled_recordings(&candidates, &mut skipped)?
+        }
+    };
+    Ok(Recordings { layout, recordings, skipped })
+}
+
+/// Folders and files by their names.
+#[derive(Default)]
+struct Found {
+    candidates: Vec<(Layout, PathBuf)>,
+    /// The candidates as the system names them.
+    seen: BTreeSet<PathBuf>,
+    skipped: Vec<SkippedEntry>,
+}
+
+impl Found {
+    /// Looks at `path` and below; the result is how many candidates are there.
+    fn gather(&mut self, path: &Path, is_given: bool) -> Result<usize, ListingError> {
+        if path.is_dir() {
+            if three_dc::origin(path).is_some() {
+                return Ok(self.add(Layout::ThreeDc, path));
+            }
+            if path.join(labels::FILE_NAME).is_file() {
+                return Ok(self.add(Layout::Labelled, path));
+            }
+            let mut count = 0;
+            for entry in entries(path)? {
+                // A link may lead back up.
+                if !(entry.is_dir() && entry.is_symlink()) {
+                    count += self.gather(&entry, false)?;
+                }
+            }
+            return Ok(count);
+        }
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mat")) {
+            return Ok(self.add(Layout::OzdemirMat, path));
+        }
+        if ozdemir::trial_of_name(path).is_some() {
+            return Ok(self.add(Layout::OzdemirTrials, path));
+        }
+        if path.file_name().is_some_and(|name| name == labels::FILE_NAME) {
+            return Ok(self.add(Layout::Labelled, path.parent().unwrap_or(Path::new("."))));
+        }
+        if is_given {
+            path.metadata().map_err(unreadable(path))?;
+        }
+        // Texts of other kinds, such as a README.txt, lie beside recordings.
+        let is_three_dc = three_dc::parse_file_name(path).is_some();
+        let is_text = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
+        if is_three_dc {
+            self.skip(path, "its folder is no ParticipantP/train/EMG or ParticipantP/test/EMG");
+        } else if is_table(path) && !is_text {
+            self.skip(path, "its name is no P<person>_C<cycle>_G<gesture>.csv, and no labels.csv names it");
+        }
+        Ok(0)
+    }
+
+    fn add(&mut self, layout: Layout, path: &Path) -> usize {
+        let real = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        if self.seen.insert(real) {
+            self.candidates.push((layout, path.to_owned()));
+        } else {
+            self.skip(path, "it was given twice and is used once");
+        }
+        1
+    }
+
+    fn skip(&mut self, path: &Path, reason: &str) {
+        self.skipped.push(SkippedEntry { path: path.to_owned(), reason: reason.to_owned() });
+    }
+}
+
+fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> ListingError + '_ {
+    |reason| RecordingError::Open { path: path.to_owned(), reason }.into()
+}
+
+/// What a folder holds, in order.
+fn entries(folder: &Path) -> Result<Vec<PathBuf>, ListingError> {
+    let mut entries = Vec::new();
+    for entry in fs::read_dir(folder).map_err(unreadable(folder))? {
+        entries.push(entry.map_err(unreadable(folder))?.path());
+    }
+    entries.sort();
+    Ok(entries)
+}
+
+/// The repetitions in EMG folders.
+fn three_dc_recordings(
+    folders: &[PathBuf],
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<Vec<Recording>, ListingError> {
+    let mut by_origin = BTreeMap::new();
+    for folder in folders {
+        let Some(origin) = three_dc::origin(folder) else { continue };
+        if let Some(first) = by_origin.insert(origin, folder) {
+            let (person, session) = origin;
+            let what = format!("the {} session of person {person}", session.name());
+            return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
+        }
+    }
+    let mut recordings = Vec::new();
+    for ((person, session), folder) in by_origin {
+        let repetitions = three_dc::repetitions(folder)?;
+        let names = "3dc_EMG_gesture_R_G.txt with R from 0 and G from 0 to 10";
+        if repetitions.is_empty() {
+            let reason = format!("it holds no files {names}");
+            skipped.push(SkippedEntry { path: folder.clone(), reason });
+        }
+        for path in entries(folder)? {
+            if is_table(&path) && three_dc::parse_file_name(&path).is_none() {
+                skipped.push(SkippedEntry { path, reason: format!("its name is no {names}") });
+            }
+        }
+        recordings.extend(repetitions.into_iter().map(|repetition| Recording {
+            path: folder.clone(),
+            person,
+            session: session.name().to_owned(),
+            repetitions_before: session.repetitions_before(),
+            content: Content::ThreeDc { repetition },
+        }));
+    }
+    Ok(recordings)
+}
+
+/// Refuses recordings whose folders say that they were filtered before if they are to be filtered, and those that
+/// were not if they are not.
+fn check_filtered(settings: &DatasetSettings, files: &[PathBuf]) -> Result<(), ListingError> {
+    let is_filtered = settings.filter.is_none();
+    match files.iter().find(|file| ozdemir::is_filtered(file) == Some(!is_filtered)) {
+        Some(file) if is_filtered => Err(ListingError::NotFiltered { file: file.clone() }),
+        Some(file) => Err(ListingError::Filtered { file: file.clone() }),
+        None => Ok(()),
+    }
+}
+
+/// Session of layouts that have only one.
+const ONLY_SESSION: &str = "1";
+
+fn mat_recordings(
+    files: &[PathBuf],
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<Vec<Recording>, ListingError> {
+    let mut by_person = BTreeMap::new();
+    for file in files {
+        let reason = match ozdemir::person(file) {
+            Ok(Some(person)) => match by_person.insert(person, file) {
+                None => continue,
+                Some(first) => {
+                    let what = format!("person {person}");
+                    return Err(ListingError::Twice { what, first: first.clone(), second: file.clone() });
+                }
+            },
+            Ok(None) => "neither its variable iD nor a number in its name tells the person".to_owned(),
+            Err(error) => error.to_string(),
+        };
+        skipped.push(SkippedEntry { path: file.clone(), reason });
+    }
+    let recording = |(person, file): (u16, &PathBuf)| Recording {
+        path: file.clone(),
+        person,
+        session: ONLY_SESSION.to_owned(),
+        repetitions_before: 0,
+        content: Content::OzdemirMat,
+    };
+    Ok(by_person.into_iter().map(recording).collect())
+}
+
+fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
+    let mut by_trial = BTreeMap::new();
+    for file in files {
+        let Some(trial) = ozdemir::trial_of_name(file) else { continue };
+        if let Some(first) = by_trial.insert(trial, file) {
+            let ozdemir::Trial { person, cycle, gesture } = trial;
+            let what = format!("gesture {gesture} of cycle {cycle} of person {person}");
+            return Err(ListingError::Twice { what, first: first.clone(), second: file.clone() });
+        }
+    }
+    let recording = |(trial, file): (ozdemir::Trial, &PathBuf)| Recording {
+        path: file.clone(),
+        person: trial.person,
+        session: ONLY_SESSION.to_owned(),
+        repetitions_before: 0,
+        content: Content::Table {
+            segments: vec![Segment {
+                file: file.clone(),
+                repetition: Some(trial.cycle.into()),
+                cue: ozdemir::gesture(trial.gesture),
+                end_sample: None,
+            }],
+            default_hz: Some(ozdemir::SAMPLE_RATE_HZ),
+        },
+    };
+    Ok(by_trial.into_iter().map(recording).collect())
+}
+
+fn labelled_recordings(
+    folders: &[PathBuf],
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<Vec<Recording>, ListingError> {
+    let mut files: Vec<LabelledFile> = Vec::new();
+    let mut folder_of_file = BTreeMap::new();
+    for folder in folders {
+        for file in labels::read(folder, skipped)? {
+            let real = fs::canonicalize(&file.path).unwrap_or_else(|_| file.path.clone());
+            if let Some(first) = folder_of_file.insert(real, folder) {
+                let what = file.path.display().to_string();
+                return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
+            }
+            files.push(file);
+        }
+    }
+    // Of each person the sessions, in the order in which they are named, and how many repetitions a session has.
+    let mut sessions: BTreeMap<u16, (Vec<String>, u32)> = BTreeMap::new();
+    for file in &files {
+        let (names, repetitions) = sessions.entry(file.person).or_default();
+        if !names.contains(&file.session) {
+            names.push(file.session.clone());
+        }
+        *repetitions = (*repetitions).max(file.last_repetition() + 1);
+    }
+    let mut recordings = Vec::new();
+    for LabelledFile { path, person, session, segments } in files {
+        let (names, repetitions) = &sessions[&person];
+        if names.len() as u32 * repetitions > u32::from(u8::MAX) + 1 {
+            return Err(ListingError::TooManyRepetitions { person });
+        }
+        let place = names.iter().position(|name| *name == session).unwrap_or(0) as u32;
+        recordings.push(Recording {
+            path,
+            person,
+            session,
+            repetitions_before: place * repetitions,
+            content: Content::Table { segments, default_hz: None },
+        });
+    }
+    Ok(recordings)
+}

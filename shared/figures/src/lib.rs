@@ -1,0 +1,18 @@
+//! Figures as PNG or SVG: latencies of a session, confusion matrices, target zones.
+//!
+//! ```text
+//! Histogram ─▶ latency_figure ───┐
+//! Confusion ─▶ confusion_figure ─┼─▶ canvas ─▶ file.png, file.svg
+//! ZoneTask ──▶ zones_figure ─────┘
+//! ```
+#![forbid(unsafe_code)]
+
+mod canvas;
+mod confusion;
+mod latency;
+mod zones;
+
+pub use canvas::FigureError;
+pub use confusion::confusion_figure;
+pub use latency::latency_figure;
+pub use zones::zones_figure;
