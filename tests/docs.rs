@@ -1,4 +1,5 @@
 //! The pages that people read: their links resolve, and the options and settings they print exist.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
