@@ -37,7 +37,7 @@ struct Moving {
 }
 
 impl Moving {
-    fn start(prepare: impl FnOnce(&mut Command), controlling_terminal: bool) -> Moving {
+    fn start(prepare: impl FnOnce(&mut Command) -> &mut Command, controlling_terminal: bool) -> Moving {
         let emulator = Emulator::start(Listen::anywhere()).unwrap();
         let session = unique_session();
         let listen = emulator.listen;
@@ -65,8 +65,7 @@ impl Moving {
     fn on_terminal() -> (Moving, File, OwnedFd) {
         let terminal = nix::pty::openpty(None, None).unwrap();
         let slave = || Stdio::from(terminal.slave.try_clone().unwrap());
-        let moving =
-            Moving::start(|command| drop(command.stdin(slave()).stdout(slave()).stderr(slave())), true);
+        let moving = Moving::start(|command| command.stdin(slave()).stdout(slave()).stderr(slave()), true);
         (moving, File::from(terminal.master), terminal.slave)
     }
 
@@ -167,7 +166,7 @@ fn signals_and_orders_stop_the_arm_though_nobody_empties_the_pipes() {
         let (_output_reader, output) = full_pipe();
         let (_errors_reader, errors) = full_pipe();
         let moving =
-            Moving::start(|command| drop(command.stdin(Stdio::null()).stdout(output).stderr(errors)), false);
+            Moving::start(|command| command.stdin(Stdio::null()).stdout(output).stderr(errors), false);
         std::thread::sleep(STALL);
         match by {
             "tendon stop" => order(&moving.session, "stop"),
@@ -192,8 +191,7 @@ fn a_reader_that_leaves_costs_neither_the_report_nor_a_panic() {
     let (reader, output) = std::io::pipe().unwrap();
     let (errors_reader, errors) = std::io::pipe().unwrap();
     drop((reader, errors_reader));
-    let moving =
-        Moving::start(|command| drop(command.stdin(Stdio::null()).stdout(output).stderr(errors)), false);
+    let moving = Moving::start(|command| command.stdin(Stdio::null()).stdout(output).stderr(errors), false);
     moving.signal(Signal::SIGTERM);
     moving.assert_stops("SIGTERM");
     assert_eq!(moving.end(), Some(0));

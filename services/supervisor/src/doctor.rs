@@ -8,7 +8,8 @@ use tendon_process::Policy;
 use tendon_transport::{Leftovers, Removed, SessionLock, SessionLockError, shared_memory_directory};
 
 use crate::options::read_configuration;
-use crate::{Failure, checks, output};
+use crate::output::print;
+use crate::{Failure, checks};
 
 /// Free shared memory that a session with default settings is comfortable with, bytes.
 const COMFORTABLE_BYTES: u64 = 64_000_000;
@@ -33,6 +34,8 @@ enum Weight {
 
 struct Findings {
     broken: usize,
+    /// Whether they could be shown.
+    printed: anyhow::Result<()>,
 }
 
 impl Findings {
@@ -42,14 +45,15 @@ impl Findings {
             Weight::Weak => "weak  ",
             Weight::Broken => "BROKEN",
         };
-        output::line(format_args!("{mark}  {what:<18}{finding}"));
+        let printed = print(format_args!("{mark}  {what:<18}{finding}"));
+        self.printed = std::mem::replace(&mut self.printed, Ok(())).and(printed);
         self.broken += usize::from(weight == Weight::Broken);
     }
 }
 
 /// Examines the machine.
 pub fn examine(options: &Options) -> Result<(), Failure> {
-    let mut findings = Findings { broken: 0 };
+    let mut findings = Findings { broken: 0, printed: Ok(()) };
     programs(&mut findings);
     let config = configuration(&mut findings);
     folders(&mut findings);
@@ -57,6 +61,7 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
     shared_memory(&mut findings, &config);
     scheduling(&mut findings);
     leftovers(&mut findings, options.clean);
+    findings.printed.map_err(Failure::running)?;
     if findings.broken > 0 {
         return Err(Failure::running(anyhow::anyhow!(
             "{} of these keep a session from running",

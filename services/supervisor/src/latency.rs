@@ -10,8 +10,9 @@ use tendon_report::running_table;
 use tendon_session::become_owner;
 use tendon_transport::SessionName;
 
+use crate::Failure;
 use crate::order::user_number;
-use crate::{Failure, output};
+use crate::output::{print, print_while_read};
 
 /// Time between two looks at what the stages say.
 const TICK: Duration = Duration::from_millis(50);
@@ -58,12 +59,13 @@ fn watch(options: &Options, mut observer: Observer) -> anyhow::Result<()> {
         observer.gather(|_| {})?;
         if shown.elapsed() >= options.interval {
             shown = Instant::now();
-            output::line(running_table(begun.elapsed(), observer.measurements()).trim_end());
+            let is_read =
+                print_while_read(running_table(begun.elapsed(), observer.measurements()).trim_end())?;
             if !observer.is_running() {
-                output::line(format_args!("session `{}` has ended", options.session));
+                print(format_args!("session `{}` has ended", options.session))?;
                 break;
             }
-            if output::has_failed() {
+            if !is_read {
                 break;
             }
         }

@@ -103,7 +103,7 @@ fn main() -> ExitCode {
         Command::Strategies(options) => strategies::score(&options),
         Command::Experiments(options) => experiments::run(&options),
     };
-    match result.and(output::result().map_err(Failure::running)) {
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure { error, exit_code }) => {
             // Without standard error there is nobody left to tell; the exit code still says it.

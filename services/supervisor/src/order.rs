@@ -6,7 +6,8 @@ use nix::unistd::User;
 use tendon_process::{Order, order_robot};
 use tendon_transport::SessionName;
 
-use crate::{Failure, output};
+use crate::Failure;
+use crate::output::print;
 
 /// Whom to order.
 #[derive(Debug, Args)]
@@ -23,7 +24,7 @@ pub struct Options {
 pub fn give(options: &Options, order: Order) -> Result<(), Failure> {
     let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
     let answer = order_robot(&options.session, user, order).map_err(Failure::running)?;
-    output::line(answer);
+    print(answer).map_err(Failure::running)?;
     Ok(())
 }
 

@@ -1,39 +1,34 @@
-//! What commands print on standard output: a reader that leaves (`tendon doctor | head`) or a full disk makes no command
-//! panic, and the exit code says what was lost.
+//! What commands print: on standard output, which may be closed or full, and on standard error.
 
 use std::fmt::Display;
-use std::io::{ErrorKind, Write};
-use std::sync::OnceLock;
+use std::io::{self, Write};
 
 use anyhow::Context;
 
-/// Why standard output takes no more.
-static FAILURE: OnceLock<std::io::Error> = OnceLock::new();
-
-/// Prints a line. After a failure nothing more is printed.
-pub fn line(text: impl Display) {
-    if FAILURE.get().is_none()
-        && let Err(error) = writeln!(std::io::stdout(), "{text}")
-    {
-        let _ = FAILURE.set(error);
-    }
-}
-
-/// Whether nothing more can be printed.
-pub fn has_failed() -> bool {
-    FAILURE.get().is_some()
-}
-
-/// Whether everything that was to be printed was, or nobody was there to read it.
+/// Prints a line, or several, to standard output. Whoever reads it may stop doing so (`tendon evaluate … | head`):
+/// that is no fault, and the rest is not printed.
 ///
 /// # Errors
 ///
-/// When the system refused to write, such as on a full disk.
-pub fn result() -> anyhow::Result<()> {
-    match FAILURE.get() {
-        Some(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(std::io::Error::from(error.kind())).context("cannot write to standard output")
-        }
-        _ => Ok(()),
+/// When standard output cannot be written for another reason, such as a full disk.
+pub fn print(text: impl Display) -> anyhow::Result<()> {
+    print_while_read(text).map(drop)
+}
+
+/// The same for a command that goes on until nobody reads any more: returns whether somebody still does.
+///
+/// # Errors
+///
+/// As [`print`].
+pub fn print_while_read(text: impl Display) -> anyhow::Result<bool> {
+    let mut output = io::stdout().lock();
+    match writeln!(output, "{text}").and_then(|()| output.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        result => result.map(|()| true).context("cannot write to standard output"),
     }
+}
+
+/// Says something to the person who waits, on standard error; where that is closed, to nobody.
+pub fn tell(text: impl Display) {
+    let _ = writeln!(io::stderr(), "{text}");
 }
