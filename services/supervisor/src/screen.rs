@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tendon_gesture::Gesture;
-use tendon_messages::{Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
+use tendon_messages::{Hindrance, Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
 use tendon_xarm::Fault;
 
 /// What the keys do, for the person at them.
@@ -32,16 +32,46 @@ pub fn live_line(elapsed: Duration, header: &StateHeader, state: &[f32], task: &
     )
 }
 
-/// Why the arm does not move, empty if it may.
+/// Why the arm does not move, or not as it should; empty if it does.
 fn standing(header: &StateHeader) -> String {
     let reason = match (Fault::new(tendon_xarm::Source::Controller, header.fault_code), header.stop_reason) {
         (Some(fault), _) => fault.to_string(),
         (None, number) => StopReason::from_number(number).map_or(String::new(), |reason| reason.to_string()),
     };
-    match Permission::from_number(header.permission) {
-        Permission::Granted => String::new(),
-        Permission::AwaitRest if reason.is_empty() => "relax to begin  ".to_owned(),
-        Permission::AwaitRest => format!("ARM RESTS ({reason}): relax to go on  "),
-        Permission::Stopped => format!("ARM STOPPED ({reason}): `tendon arm` or key a goes on  "),
+    let calibration_left_s = header.calibration_left_ms.div_ceil(1000);
+    match (Permission::from_number(header.permission), Hindrance::from_number(header.hindrance)) {
+        (Permission::Stopped, _) => format!("ARM STOPPED ({reason}): `tendon arm` or key a goes on  "),
+        (Permission::AwaitRest, _) if calibration_left_s > 0 => {
+            format!("calibrating, {calibration_left_s} s of rest left  ")
+        }
+        (Permission::AwaitRest, _) if reason.is_empty() => "relax to begin  ".to_owned(),
+        (Permission::AwaitRest, _) => format!("ARM RESTS ({reason}): relax to go on  "),
+        (Permission::Granted, Some(hindrance)) => format!("HELD UP ({hindrance})  "),
+        (Permission::Granted, None) => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn on_a_narrow_terminal_one_sees_why_the_arm_does_not_move() {
+        let line = |header: StateHeader| live_line(Duration::from_secs(3), &header, &[0.0; STATE_LENGTH], "");
+        let stopped = StateHeader {
+            permission: Permission::Stopped as u8,
+            stop_reason: StopReason::Ordered as u8,
+            ..StateHeader::default()
+        };
+        assert!(line(stopped).starts_with("ARM STOPPED ("), "{}", line(stopped));
+        let awaits = StateHeader { permission: Permission::AwaitRest as u8, ..StateHeader::default() };
+        assert!(line(awaits).starts_with("relax to begin"));
+        let calibrating = StateHeader { calibration_left_ms: 4200, ..awaits };
+        assert!(line(calibrating).starts_with("calibrating, 5 s of rest left"));
+        let granted = StateHeader { permission: Permission::Granted as u8, ..StateHeader::default() };
+        let hindrance = Hindrance::WorkspaceFace { axis: 2, is_upper: true }.number();
+        let held = StateHeader { hindrance, ..granted };
+        assert!(line(held).starts_with("HELD UP (at the workspace limit +z)"));
+        assert!(line(granted).starts_with("   3.0 s"));
     }
 }
