@@ -4,10 +4,10 @@
 use std::process::ExitCode;
 
 use anyhow::Context;
-use tendon_gesture::{Decider, Decision as Outcome, Evidence, Gesture, GripperTarget};
+use tendon_gesture::{Decider, Evidence, Gesture};
 use tendon_messages::{
-    Activity, COMMANDS, CommandHeader, GripperCommand, Measurement, NO_GESTURE, PREDICTIONS,
-    PredictionHeader, Stage, TWIST_LENGTH,
+    Activity, COMMANDS, CommandHeader, Measurement, NO_GESTURE, PREDICTIONS, PredictionHeader, Stage,
+    TWIST_LENGTH,
 };
 use tendon_process::{Consumer, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber};
@@ -27,6 +27,7 @@ fn main() -> ExitCode {
             )?,
             increment_samples: config.dsp.windows.increment_samples as u64,
             last_first_sample: None,
+            gripper_toggles: 0,
         };
         let predictions = Subscriber::open(&process.session, &PREDICTIONS, Some(Stage::Decision), delivery)?;
         process.connect(&predictions)?;
@@ -41,6 +42,8 @@ struct Decision {
     increment_samples: u64,
     /// Index of the last window's first sample.
     last_first_sample: Option<u64>,
+    /// Since this process began.
+    gripper_toggles: u32,
 }
 
 impl Consumer<PredictionHeader, f32> for Decision {
@@ -72,13 +75,14 @@ impl Consumer<PredictionHeader, f32> for Decision {
             intact: context.replaced_samples == 0,
             captured_ns: sample_time_ns(process, context.first_sample),
         });
+        self.gripper_toggles = self.gripper_toggles.wrapping_add(outcome.toggles_gripper.into());
         let header = CommandHeader {
             trace,
             context,
             confidence: outcome.confidence,
             gesture: outcome.gesture as u8,
             voted: outcome.voted as u8,
-            gripper: gripper_command(&outcome) as u8,
+            gripper_toggles: self.gripper_toggles,
         };
         let published_ns = self.commands.publish(header, TWIST_LENGTH, |twist| {
             twist.fill(0.0);
@@ -99,12 +103,4 @@ impl Consumer<PredictionHeader, f32> for Decision {
 /// Time of a sample on the source's own clock, so that a replay decides the same at any speed.
 fn sample_time_ns(process: &StageProcess, sample: u64) -> u64 {
     (sample as f64 * 1e9 / process.config.acquisition.sample_rate_hz) as u64
-}
-
-fn gripper_command(outcome: &Outcome) -> GripperCommand {
-    match outcome.gripper {
-        None => GripperCommand::Keep,
-        Some(GripperTarget::Open) => GripperCommand::Open,
-        Some(GripperTarget::Closed) => GripperCommand::Close,
-    }
 }

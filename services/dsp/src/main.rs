@@ -130,6 +130,7 @@ impl Dsp {
             first_captured_ns: trace.captured_ns.saturating_sub(duration_ns(self.window_samples - 1)),
             truth,
             replaced_samples: window.replaced_samples,
+            calibration_left_ms: (duration_ns(self.chain.calibration_left_samples()) / 1_000_000) as u32,
             activity: activity as u8,
         };
         let window_header = WindowHeader {

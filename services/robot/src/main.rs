@@ -24,8 +24,8 @@ use tendon_arm::{GripperCommand as ArmGripper, Guard, JointVector, LimitViolatio
 use tendon_config::Backend;
 use tendon_gesture::Strategy;
 use tendon_messages::{
-    COMMANDS, CommandHeader, GripperCommand, Permission, STATE_LENGTH, STATES, Stage, StateHeader,
-    StopReason, TWIST_LENGTH, Trace,
+    ArmPhase, COMMANDS, CommandHeader, Permission, STATE_LENGTH, STATES, Stage, StateHeader, StopReason,
+    TWIST_LENGTH, Trace,
 };
 use tendon_process::{Order, STALE_NS, StageProcess, Wake};
 use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
@@ -71,6 +71,10 @@ fn main() -> ExitCode {
             woke_ns: now_ns(),
             is_introduced: false,
             newest_command: None,
+            gripper_toggles: None,
+            gripper_middle_pulses: 0.5
+                * (config.robot.arm.gripper_open_pulses + config.robot.arm.gripper_closed_pulses),
+            needs_calibration: config.decision.strategy == Strategy::Threshold,
             state: StateHeader::default(),
         };
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
@@ -104,6 +108,11 @@ struct Robot {
     is_introduced: bool,
     /// Sequence number of the newest command.
     newest_command: Option<u64>,
+    /// What the newest command counted.
+    gripper_toggles: Option<u32>,
+    gripper_middle_pulses: f64,
+    /// Whether rest is known only once the activity detector is calibrated.
+    needs_calibration: bool,
     /// Of the last command acted on.
     state: StateHeader,
 }
@@ -268,11 +277,22 @@ impl Robot {
                 }
             };
             self.tick(now_ns);
+            let toggles = self.gripper_toggles.replace(header.gripper_toggles);
             if self.arm.is_ready() && self.latch.admits(header) {
-                self.follow(command.payload(), header.gripper, now_ns)?;
+                let is_toggled = toggles.is_some_and(|toggles| toggles != header.gripper_toggles);
+                self.follow(command.payload(), is_toggled, now_ns)?;
             }
-            self.state =
-                StateHeader { trace, gesture: header.voted, confidence: header.confidence, ..self.state };
+            self.state = StateHeader {
+                trace,
+                gesture: header.voted,
+                confidence: header.confidence,
+                calibration_left_ms: if self.needs_calibration {
+                    header.context.calibration_left_ms
+                } else {
+                    0
+                },
+                ..self.state
+            };
             if self.delivery == Delivery::Lossless {
                 self.publish_state(process)?;
             }
@@ -281,7 +301,7 @@ impl Robot {
         process.measurements.record(measurement)
     }
 
-    fn follow(&mut self, twist: &[f32], gripper: u8, now_ns: u64) -> anyhow::Result<()> {
+    fn follow(&mut self, twist: &[f32], toggles_gripper: bool, now_ns: u64) -> anyhow::Result<()> {
         let length = twist.len();
         let twist: &[f32; TWIST_LENGTH] =
             twist.try_into().with_context(|| format!("a command of {length} components"))?;
@@ -290,10 +310,10 @@ impl Robot {
         if let Err(error) = self.arm.command(twist, now_ns) {
             tracing::error!("a command was refused and the arm stopped: {error}");
         }
-        match GripperCommand::from_number(gripper) {
-            GripperCommand::Keep => {}
-            GripperCommand::Open => self.arm.command_gripper(ArmGripper::Open, now_ns),
-            GripperCommand::Close => self.arm.command_gripper(ArmGripper::Close, now_ns),
+        if toggles_gripper {
+            let is_open = self.arm.state().gripper_position_pulses > self.gripper_middle_pulses;
+            let command = if is_open { ArmGripper::Close } else { ArmGripper::Open };
+            self.arm.command_gripper(command, now_ns);
         }
         Ok(())
     }
@@ -308,6 +328,7 @@ impl Robot {
             permission: self.latch.permission() as u8,
             stop_reason: stop.map_or(0, |stop| stop.reason as u8),
             fault_code: stop.map_or(0, |stop| stop.fault_code),
+            arm_phase: if self.arm.is_ready() { ArmPhase::Following } else { ArmPhase::BringingUp } as u8,
             ..self.state
         };
         self.states.publish(header, STATE_LENGTH, |payload| {

@@ -1,19 +1,22 @@
 //! From the probabilities of a window to what the arm is to do (paper sections "Muscle Activation Detection
 //! Strategies" and "Simulations and Implementation on the Robotic Arm").
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::Gesture;
 
 /// How rest and movement are told apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Strategy {
     /// Strategy (a): the activity detector tells rest from movement, the classifier only which of the five
     /// active gestures it is.
     Threshold,
     /// Strategy (b): a first classifier tells rest from movement, a second one which of the five active gestures it
     /// is; the activity detector is not asked.
+    #[value(alias = "two-stage")]
     TwoStage,
     /// Strategy (c): the classifier knows all six classes; the activity detector is not asked.
     Direct,
@@ -112,15 +115,6 @@ pub struct Evidence<'a> {
     pub captured_ns: u64,
 }
 
-/// The state the gripper is told to take.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GripperTarget {
-    /// Open.
-    Open,
-    /// Closed.
-    Closed,
-}
-
 /// What follows from a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
@@ -132,11 +126,11 @@ pub struct Decision {
     pub voted: Gesture,
     /// Linear velocity in the arm's base frame, mm/s along x, y, z.
     pub velocity_mm_per_s: [f64; 3],
-    /// The gripper's new target, only at the window that toggles it.
-    pub gripper: Option<GripperTarget>,
+    /// Whether the gripper is to change sides: from open to closed or back, which only the arm's side knows.
+    pub toggles_gripper: bool,
 }
 
-/// The decision stage: keeps the last votes and the gripper's state.
+/// The decision stage: keeps the last votes and when the gripper was last toggled.
 #[derive(Clone, Debug)]
 pub struct Decider {
     settings: DecisionSettings,
@@ -144,11 +138,10 @@ pub struct Decider {
     next_vote: usize,
     grips_in_a_row: u32,
     toggled_ns: Option<u64>,
-    gripper: GripperTarget,
 }
 
 impl Decider {
-    /// A decider at rest, gripper open.
+    /// A decider at rest.
     ///
     /// # Errors
     ///
@@ -161,7 +154,6 @@ impl Decider {
             next_vote: 0,
             grips_in_a_row: 0,
             toggled_ns: None,
-            gripper: GripperTarget::Open,
         })
     }
 
@@ -177,7 +169,7 @@ impl Decider {
             confidence,
             voted,
             velocity_mm_per_s: direction(voted).map(|axis| axis * self.settings.speed_mm_per_s),
-            gripper: self.toggle_gripper(evidence.captured_ns),
+            toggles_gripper: self.toggles_gripper(evidence.captured_ns),
         }
     }
 
@@ -204,21 +196,17 @@ impl Decider {
             .unwrap_or((Gesture::Rest, 1.0))
     }
 
-    fn toggle_gripper(&mut self, captured_ns: u64) -> Option<GripperTarget> {
+    fn toggles_gripper(&mut self, captured_ns: u64) -> bool {
         let interval_ns = (self.settings.grip_interval_s * 1e9) as u64;
         // A time before that of the last toggle is of a source that began anew.
         let elapsed_ns = self.toggled_ns.and_then(|toggled_ns| captured_ns.checked_sub(toggled_ns));
         let too_soon = elapsed_ns.is_some_and(|elapsed_ns| elapsed_ns < interval_ns);
         if self.grips_in_a_row < self.settings.grip_windows || too_soon {
-            return None;
+            return false;
         }
         self.grips_in_a_row = 0;
         self.toggled_ns = Some(captured_ns);
-        self.gripper = match self.gripper {
-            GripperTarget::Open => GripperTarget::Closed,
-            GripperTarget::Closed => GripperTarget::Open,
-        };
-        Some(self.gripper)
+        true
     }
 }
 
@@ -267,6 +255,11 @@ mod tests {
         windows.iter().enumerate().map(decide).collect()
     }
 
+    /// The windows that toggle the gripper.
+    fn toggles(decisions: &[Decision]) -> Vec<usize> {
+        (0..decisions.len()).filter(|&window| decisions[window].toggles_gripper).collect()
+    }
+
     #[test]
     fn gestures_move_the_arm_as_the_paper_says() {
         for (gesture, velocity) in [
@@ -287,16 +280,9 @@ mod tests {
     #[test]
     fn three_grips_toggle_the_gripper_but_not_twice_within_two_seconds() {
         let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
-        let toggles: Vec<(usize, GripperTarget)> = decide_all(&mut decider, &[(Gesture::Grip, true); 60])
-            .iter()
-            .enumerate()
-            .filter_map(|(index, decision)| decision.gripper.map(|gripper| (index, gripper)))
-            .collect();
+        let decisions = decide_all(&mut decider, &[(Gesture::Grip, true); 60]);
         // 2 s are 26.7 increments: the next toggle comes with window 2 + 27.
-        assert_eq!(
-            toggles,
-            [(2, GripperTarget::Closed), (29, GripperTarget::Open), (56, GripperTarget::Closed)]
-        );
+        assert_eq!(toggles(&decisions), [2, 29, 56]);
     }
 
     #[test]
@@ -305,10 +291,10 @@ mod tests {
         let later = 600_000_000_000;
         let grip = certain(Gesture::Grip);
         let evidence = Evidence { probabilities: &grip, moving: true, intact: true, captured_ns: later };
-        assert!((0..3).any(|_| decider.decide(&evidence).gripper.is_some()));
+        assert!((0..3).any(|_| decider.decide(&evidence).toggles_gripper));
         decider.restart();
         let decisions = decide_all(&mut decider, &[(Gesture::Grip, true); 3]);
-        assert_eq!(decisions[2].gripper, Some(GripperTarget::Open));
+        assert!(decisions[2].toggles_gripper);
     }
 
     #[test]
@@ -316,7 +302,7 @@ mod tests {
         let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
         let windows = [Gesture::Grip, Gesture::Grip, Gesture::Ulnar, Gesture::Grip, Gesture::Grip];
         let decisions = decide_all(&mut decider, &windows.map(|gesture| (gesture, true)));
-        assert!(decisions.iter().all(|decision| decision.gripper.is_none()));
+        assert!(toggles(&decisions).is_empty());
     }
 
     #[test]
@@ -381,11 +367,7 @@ mod tests {
         #[test]
         fn gripper_toggles_are_two_seconds_apart(windows in gestures()) {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
-            let toggles: Vec<usize> = decide_all(&mut decider, &windows)
-                .iter()
-                .enumerate()
-                .filter_map(|(index, decision)| decision.gripper.map(|_| index))
-                .collect();
+            let toggles = toggles(&decide_all(&mut decider, &windows));
             prop_assert!(toggles.windows(2).all(|pair| (pair[1] - pair[0]) as u64 * INCREMENT_NS >= 2_000_000_000));
         }
     }

@@ -11,7 +11,5 @@ mod decide;
 mod label;
 
 pub use class::Class;
-pub use decide::{
-    Decider, Decision, DecisionSettings, Evidence, GripperTarget, InvalidDecisionSetting, Strategy,
-};
+pub use decide::{Decider, Decision, DecisionSettings, Evidence, InvalidDecisionSetting, Strategy};
 pub use label::{Gesture, UnknownGesture};

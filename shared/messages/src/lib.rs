@@ -17,10 +17,12 @@
 //! Arrays of samples are channel-major, so a window in shared memory is the tensor `[1, channels, samples]`.
 #![forbid(unsafe_code)]
 
+mod arm;
 mod measurement;
 mod permission;
 mod topic;
 
+pub use arm::{ArmPhase, Hindrance};
 pub use measurement::{Measurement, MeasurementHeader};
 pub use permission::{Permission, StopReason};
 pub use topic::{BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATES, Topic, WINDOWS};
@@ -186,6 +188,8 @@ pub struct WindowContext {
     pub truth: Truth,
     /// Replaced (NaN, infinite) samples inside the window; a window with any is treated as rest.
     pub replaced_samples: u32,
+    /// How much more rest the activity detector needs before it tells rest from movement, ms; 0 once it is calibrated.
+    pub calibration_left_ms: u32,
     /// The activity detector's word at the window's newest sample: an [`Activity`] as number.
     pub activity: u8,
 }
@@ -232,29 +236,6 @@ pub struct PredictionHeader {
     pub context: WindowContext,
 }
 
-/// What the gripper is to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum GripperCommand {
-    /// Stay as it is.
-    Keep = 0,
-    /// Open.
-    Open = 1,
-    /// Close.
-    Close = 2,
-}
-
-impl GripperCommand {
-    /// The command with this number; an unknown one keeps the gripper as it is.
-    pub fn from_number(number: u8) -> GripperCommand {
-        match number {
-            1 => GripperCommand::Open,
-            2 => GripperCommand::Close,
-            _ => GripperCommand::Keep,
-        }
-    }
-}
-
 /// Header of a command; payload `f32 [6]`, the twist in the arm's base frame: mm/s along x, y, z, then
 /// rad/s about x, y, z.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
@@ -268,10 +249,11 @@ pub struct CommandHeader {
     pub confidence: f32,
     /// Class number of this window's gesture, before the vote.
     pub gesture: u8,
+    /// How often the gripper was asked to change sides since the decision process began. A count survives the loss of
+    /// a message; whether the gripper opens or closes then is for the robot to say, which knows where it stands.
+    pub gripper_toggles: u32,
     /// Class number of the gesture acted on, after the vote.
     pub voted: u8,
-    /// A [`GripperCommand`] as number.
-    pub gripper: u8,
 }
 
 /// Length of a command's payload.
@@ -288,7 +270,7 @@ pub struct StateHeader {
     pub trace: Trace,
     /// Speed of the flange in mm/s.
     pub speed_mm_per_s: f32,
-    /// Gripper position in xArm gripper pulses (850 open, -10 closed).
+    /// Gripper position in xArm gripper pulses (850 open, -10 closed); NaN when there is none or it has not told.
     pub gripper_position: f32,
     /// Probability of the last command's gesture, 0 to 1.
     pub confidence: f32,
@@ -300,4 +282,12 @@ pub struct StateHeader {
     pub stop_reason: u8,
     /// With [`StopReason::ArmFault`], the error code of the arm's controller.
     pub fault_code: u8,
+    /// How far the arm is: an [`ArmPhase`] as number.
+    pub arm_phase: u8,
+    /// What keeps the arm from following the last command in full: the number of a [`Hindrance`], 0 for nothing.
+    pub hindrance: u8,
+    /// Distance of the flange from its start position in mm while the arm goes there or waits to; else 0.
+    pub start_distance_mm: f32,
+    /// How much more rest the activity detector needs, ms; 0 where the strategy does not need it, or it is calibrated.
+    pub calibration_left_ms: u32,
 }

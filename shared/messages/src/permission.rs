@@ -50,13 +50,33 @@ pub enum StopReason {
     WorkspaceBox = 9,
     /// The flange is faster than allowed.
     OverSpeed = 10,
-    /// A stage ended and was started again, or the session before left the arm stopped.
+    /// A stage ended and was started again.
     StageEnded = 11,
+    /// There is no record that the arm was left in good order.
+    NotLeftInGoodOrder = 12,
+    /// The arm was left in good order, but at other joint angles than it reports now.
+    MovedSince = 13,
+    /// The record of how the arm was left cannot be read, or is not to be trusted.
+    RecordUnusable = 14,
+    /// The start position is far away; [`StateHeader::start_distance_mm`](crate::StateHeader::start_distance_mm).
+    StartIsFar = 15,
+    /// The straight way of the joints to the start position leaves the workspace box.
+    WayLeavesBox = 16,
+    /// The flange moves though it is commanded to rest.
+    Creeping = 17,
+    /// Another program changed the arm's mode or state.
+    TakenOver = 18,
+    /// The arm refused a velocity.
+    VelocityRefused = 19,
+    /// The arm, or its firmware, is none that Tendon drives.
+    UnsupportedArm = 20,
+    /// The arm has not answered or reported for a while.
+    ArmSilent = 21,
 }
 
 impl StopReason {
     /// All of them, in the order of their numbers, which begin with 1.
-    const ALL: [StopReason; 11] = [
+    const ALL: [StopReason; 21] = [
         StopReason::NoCommands,
         StopReason::SupervisorSilent,
         StopReason::RobotStalled,
@@ -68,6 +88,16 @@ impl StopReason {
         StopReason::WorkspaceBox,
         StopReason::OverSpeed,
         StopReason::StageEnded,
+        StopReason::NotLeftInGoodOrder,
+        StopReason::MovedSince,
+        StopReason::RecordUnusable,
+        StopReason::StartIsFar,
+        StopReason::WayLeavesBox,
+        StopReason::Creeping,
+        StopReason::TakenOver,
+        StopReason::VelocityRefused,
+        StopReason::UnsupportedArm,
+        StopReason::ArmSilent,
     ];
 
     /// The reason with this number; `None` for 0 and for what no sender of ours writes.
@@ -91,7 +121,23 @@ impl fmt::Display for StopReason {
             StopReason::JointLimit => "a joint is at its limit: drive the arm back by gestures",
             StopReason::WorkspaceBox => "the arm left the workspace box: drive it back by gestures",
             StopReason::OverSpeed => "the arm was faster than allowed: check what pulls it, and its settings",
-            StopReason::StageEnded => "a stage ended, or the session before left it stopped: see above",
+            StopReason::StageEnded => "a stage ended: see above which one",
+            StopReason::NotLeftInGoodOrder => {
+                "no record says that the last session left the arm in good order: look at the arm and its surroundings"
+            }
+            StopReason::MovedSince => {
+                "the arm is not where the last session left it: look at the arm and its surroundings"
+            }
+            StopReason::RecordUnusable => {
+                "the record of how the arm was left cannot be used: look at the arm and its surroundings"
+            }
+            StopReason::StartIsFar => "the start position is far away",
+            StopReason::WayLeavesBox => "the way to the start position leaves the workspace box",
+            StopReason::Creeping => "the arm moved though commanded to rest: find out what drives or pulls it",
+            StopReason::TakenOver => "another program changed the arm's mode: quit that program",
+            StopReason::VelocityRefused => "the arm refused a velocity: quit other programs that use it",
+            StopReason::UnsupportedArm => "the arm or its firmware is not supported: see the robot's message",
+            StopReason::ArmSilent => "the arm did not answer in time: check its network",
         })
     }
 }
@@ -107,7 +153,7 @@ mod tests {
             assert_eq!(StopReason::from_number(reason as u8), Some(reason));
         }
         assert_eq!(StopReason::from_number(0), None);
-        assert_eq!(StopReason::from_number(12), None);
+        assert_eq!(StopReason::from_number(22), None);
         for permission in [Permission::Granted, Permission::AwaitRest, Permission::Stopped] {
             assert_eq!(Permission::from_number(permission as u8), permission);
         }

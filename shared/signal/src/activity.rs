@@ -202,6 +202,11 @@ impl ActivityDetector {
         self.activity
     }
 
+    /// How many more samples the calibration needs; 0 once it is over.
+    pub fn calibration_left_samples(&self) -> usize {
+        self.calibration_samples - self.calibrated_samples
+    }
+
     /// What calibration found of each channel; `None` until it is over.
     pub fn baselines(&self) -> Option<&[Baseline]> {
         (self.activity != Activity::Calibrating).then_some(&self.baselines)
