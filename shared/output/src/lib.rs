@@ -193,10 +193,8 @@ impl OutputFile {
     ///
     /// As [`OutputFile::write`].
     pub fn write_json(&self, content: &impl Serialize) -> Result<(), OutputError> {
-        let mut bytes = serde_json::to_vec_pretty(content).map_err(|error| OutputError::Content {
-            path: self.path.clone(),
-            reason: error.to_string(),
-        })?;
+        let mut bytes = serde_json::to_vec_pretty(content)
+            .map_err(|error| OutputError::Content { path: self.path.clone(), reason: error.to_string() })?;
         bytes.push(b'\n');
         self.write_bytes(&bytes)
     }
@@ -360,13 +358,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let full = OutputFile::check(Path::new("/dev/full")).unwrap();
         let good = OutputFile::check(&folder.path().join("good")).unwrap();
-        let errors = collect([
-            full.write_bytes(b"x"),
-            good.write_bytes(b"x"),
-            full.write_json(&1),
-        ])
-        .unwrap_err()
-        .to_string();
+        let errors = collect([full.write_bytes(b"x"), good.write_bytes(b"x"), full.write_json(&1)])
+            .unwrap_err()
+            .to_string();
         assert_eq!(errors.lines().count(), 2, "{errors}");
         assert!(errors.starts_with("cannot write /dev/full: "), "{errors}");
         assert!(good.path().exists());
