@@ -18,9 +18,11 @@ mod latency;
 mod order;
 mod profile;
 mod progress;
+mod provenance;
 mod resources;
 mod run;
 mod screen;
+mod session_outputs;
 mod strategies;
 mod zones;
 

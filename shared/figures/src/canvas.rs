@@ -34,6 +34,18 @@ pub enum FigureError {
     Write(#[from] OutputError),
 }
 
+impl From<FigureError> for OutputError {
+    fn from(error: FigureError) -> OutputError {
+        match error {
+            FigureError::Write(error) => error,
+            FigureError::Ending { path } => {
+                OutputError::Content { path, reason: "a figure is a .png or an .svg file".to_owned() }
+            }
+            FigureError::Draw { path, reason } => OutputError::Content { path, reason },
+        }
+    }
+}
+
 pub(crate) const FONT: &str = "sans-serif";
 
 /// Bytes of a pixel: red, green, blue.

@@ -263,15 +263,14 @@ impl OutputFolder {
         &self.path
     }
 
-    /// Writes a file into the folder, which is made if it is not there.
+    /// Makes the folder if it is not there.
     ///
     /// # Errors
     ///
-    /// When the folder or the file cannot be written.
-    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), OutputError> {
+    /// When it cannot be made.
+    pub fn make(&self) -> Result<(), OutputError> {
         fs::create_dir_all(&self.path)
-            .map_err(|source| OutputError::Write { path: self.path.clone(), source })?;
-        OutputFile::check(&self.path.join(name))?.write_bytes(bytes)
+            .map_err(|source| OutputError::Write { path: self.path.clone(), source })
     }
 }
 
