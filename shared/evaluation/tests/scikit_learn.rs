@@ -25,7 +25,7 @@ fn evaluate(case: &Value) -> Evaluation {
         let answer = Answer { probabilities: &probabilities, work_ns: 1000 };
         tally.record(truth, Origin { person: 1, repetition: 0 }, answer);
     }
-    tally.evaluate()
+    Evaluation::of(&tally)
 }
 
 fn triple(report: &ClassScores) -> Vec<f64> {
@@ -60,7 +60,7 @@ fn windows_the_classifier_does_not_know_are_counted_and_named() {
     let truth = tally.class_of(Gesture::Grip).unwrap();
     let answer = Answer { probabilities: &[0.1, 0.1, 0.1, 0.1, 0.6], work_ns: 200_000 };
     tally.record(truth, Origin { person: 19, repetition: 7 }, answer);
-    let evaluation = tally.evaluate();
+    let evaluation = Evaluation::of(&tally);
     assert_eq!(evaluation.windows_left_out["rest"], 1);
     assert_eq!((evaluation.windows, evaluation.accuracy), (1, 1.0));
     assert_eq!(evaluation.per_person[&19].correct, 1);
