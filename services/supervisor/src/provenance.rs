@@ -32,7 +32,7 @@ pub fn of_session(config: &Config) -> anyhow::Result<Provenance> {
     }
     let person = recording.first().and_then(|path| person(path));
     let trained_on_person = person.filter(|_| !trained.is_empty()).map(|person| trained.contains(&person));
-    let provenance = Provenance::begin(PROGRAM).with_configuration(config).with_models(models.paths())?;
+    let provenance = Provenance::begin(PROGRAM).with_configuration(config)?.with_models(models.paths())?;
     Ok(Provenance { trained_on_person, ..provenance.with_recording(&recording)? })
 }
 

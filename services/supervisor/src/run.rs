@@ -242,11 +242,7 @@ fn tell(text: &str) {
 pub fn run(options: &Options) -> Result<(), Failure> {
     let config = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
-    let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())
-        .map_err(Failure::input)?;
-    for path in outputs.replaced() {
-        tell(&format!("{} is there already and will be replaced", path.display()));
-    }
+    let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())?;
     let provenance = provenance::of_session(&config).map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.

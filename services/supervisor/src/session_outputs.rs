@@ -8,6 +8,9 @@ use tendon_output::{OutputError, OutputErrors, OutputFile, OutputFolder, check_d
 use tendon_report::{Report, SessionMeasurements, write_latency_log};
 use tendon_zones::TaskRun;
 
+use crate::Failure;
+use crate::output::checked;
+
 /// Files of a session, checked before it starts.
 #[derive(Debug)]
 pub struct SessionOutputs {
@@ -26,23 +29,14 @@ impl SessionOutputs {
         json: Option<&Path>,
         latency_log: Option<&Path>,
         figures: Option<&Path>,
-    ) -> Result<SessionOutputs, OutputError> {
+    ) -> Result<SessionOutputs, Failure> {
         let outputs = SessionOutputs {
-            json: json.map(OutputFile::check).transpose()?,
-            latency_log: latency_log.map(OutputFile::check).transpose()?,
-            figures: figures.map(OutputFolder::check).transpose()?,
+            json: checked(json)?,
+            latency_log: checked(latency_log)?,
+            figures: figures.map(OutputFolder::check).transpose().map_err(Failure::input)?,
         };
-        check_distinct(outputs.files())?;
+        check_distinct(outputs.json.iter().chain(&outputs.latency_log)).map_err(Failure::input)?;
         Ok(outputs)
-    }
-
-    /// The files that are there already and will be replaced.
-    pub fn replaced(&self) -> impl Iterator<Item = &Path> {
-        self.files().filter(|file| file.replaces()).map(OutputFile::path)
-    }
-
-    fn files(&self) -> impl Iterator<Item = &OutputFile> {
-        self.json.iter().chain(&self.latency_log)
     }
 
     /// Writes all files, whatever becomes of the others.

@@ -7,22 +7,16 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::ProvenanceError;
+
 /// Bytes read at a time.
 const PIECE: usize = 1 << 16;
-
-/// A file could not be read.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot read {}", path.display())]
-pub struct HashError {
-    path: PathBuf,
-    source: io::Error,
-}
 
 /// A file and its SHA-256.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileHash {
     /// The file.
-    pub path: PathBuf,
+    pub path: String,
     /// SHA-256 of its content, in hexadecimal digits.
     pub sha256: String,
 }
@@ -33,9 +27,9 @@ impl FileHash {
     /// # Errors
     ///
     /// When it cannot be read.
-    pub fn of(path: &Path) -> Result<FileHash, HashError> {
+    pub fn of(path: &Path) -> Result<FileHash, ProvenanceError> {
         let (sha256, _) = file_sha256(path)?;
-        Ok(FileHash { path: path.to_owned(), sha256 })
+        Ok(FileHash { path: path.display().to_string(), sha256 })
     }
 }
 
@@ -59,7 +53,7 @@ impl RecordingHash {
     /// # Errors
     ///
     /// When a file cannot be read.
-    pub fn of(paths: &[PathBuf]) -> Result<RecordingHash, HashError> {
+    pub fn of(paths: &[PathBuf]) -> Result<RecordingHash, ProvenanceError> {
         let mut lines = Vec::new();
         let mut bytes = 0;
         let mut last = String::new();
@@ -88,8 +82,8 @@ impl RecordingHash {
 }
 
 /// All files at or below `path`.
-fn list_files(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), HashError> {
-    let failed = |source| HashError { path: path.to_owned(), source };
+fn list_files(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), ProvenanceError> {
+    let failed = |source| ProvenanceError::Read { path: path.to_owned(), source };
     if !path.is_dir() {
         files.push(path.to_owned());
         return Ok(());
@@ -108,7 +102,7 @@ fn list_files(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), HashError> {
 }
 
 /// SHA-256 and length of a file.
-fn file_sha256(path: &Path) -> Result<(String, u64), HashError> {
+fn file_sha256(path: &Path) -> Result<(String, u64), ProvenanceError> {
     let read = || -> io::Result<(String, u64)> {
         let mut file = File::open(path)?;
         let mut hash = Sha256::new();
@@ -123,7 +117,7 @@ fn file_sha256(path: &Path) -> Result<(String, u64), HashError> {
             length += count as u64;
         }
     };
-    read().map_err(|source| HashError { path: path.to_owned(), source })
+    read().map_err(|source| ProvenanceError::Read { path: path.to_owned(), source })
 }
 
 fn hexadecimal(bytes: &[u8]) -> String {

@@ -11,6 +11,7 @@
 
 mod hash;
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -18,7 +19,26 @@ use nix::sys::utsname::uname;
 use nix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
-pub use hash::{FileHash, HashError, RecordingHash};
+pub use hash::{FileHash, RecordingHash};
+
+/// Why it cannot be told where a result comes from.
+#[derive(Debug, thiserror::Error)]
+pub enum ProvenanceError {
+    /// A model or recording cannot be read.
+    #[error("cannot read {}", path.display())]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The settings cannot be said in JSON.
+    #[error("the settings cannot be written into the report: {reason}")]
+    Configuration {
+        /// What is wrong.
+        reason: String,
+    },
+}
 
 /// The program that makes a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +50,7 @@ pub struct Program {
 }
 
 /// Where a result comes from. The JSON keys are a contract with other programs.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Version of the program.
     pub version: String,
@@ -80,13 +100,13 @@ impl Provenance {
 
     /// With all settings.
     ///
-    /// # Panics
+    /// # Errors
     ///
-    /// When the settings cannot be JSON, as a map with keys that are no text.
-    pub fn with_configuration(self, configuration: &impl Serialize) -> Provenance {
-        let configuration =
-            serde_json::to_value(configuration).expect("settings are structs of numbers, text and lists");
-        Provenance { configuration, ..self }
+    /// When they cannot be said in JSON, such as a path that is no UTF-8.
+    pub fn with_configuration(self, configuration: &impl Serialize) -> Result<Provenance, ProvenanceError> {
+        let configuration = serde_json::to_value(configuration)
+            .map_err(|error| ProvenanceError::Configuration { reason: error.to_string() })?;
+        Ok(Provenance { configuration, ..self })
     }
 
     /// With these models.
@@ -97,7 +117,7 @@ impl Provenance {
     pub fn with_models<P: AsRef<Path>>(
         self,
         models: impl IntoIterator<Item = P>,
-    ) -> Result<Provenance, HashError> {
+    ) -> Result<Provenance, ProvenanceError> {
         let models = models.into_iter().map(|path| FileHash::of(path.as_ref()));
         Ok(Provenance { models: models.collect::<Result<_, _>>()?, ..self })
     }
@@ -107,7 +127,7 @@ impl Provenance {
     /// # Errors
     ///
     /// When a file cannot be read.
-    pub fn with_recording(self, paths: &[PathBuf]) -> Result<Provenance, HashError> {
+    pub fn with_recording(self, paths: &[PathBuf]) -> Result<Provenance, ProvenanceError> {
         let recording = (!paths.is_empty()).then(|| RecordingHash::of(paths)).transpose()?;
         Ok(Provenance { recording, ..self })
     }
