@@ -290,10 +290,6 @@ fn run_locked(
     outputs: &SessionOutputs,
     provenance: Provenance,
 ) -> Result<(), Failure> {
-    let config_file = config.session.runtime_file("toml");
-    std::fs::write(&config_file, config.to_toml())
-        .with_context(|| format!("cannot write {}", config_file.display()))
-        .map_err(Failure::input)?;
     let (sender, events) = channel();
     stop_on_signals(&sender).map_err(Failure::running)?;
     let observer = Observer::before_the_stages(&config.session, "supervisor").map_err(Failure::input)?;
@@ -317,7 +313,7 @@ fn run_locked(
              and a rest",
         );
     }
-    let children = Children::start(&config_file, &sender, arm_stays).map_err(Failure::input)?;
+    let children = Children::start(config, &sender, arm_stays).map_err(Failure::input)?;
     let mut watch = Watch {
         config,
         provenance,

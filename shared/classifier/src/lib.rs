@@ -177,13 +177,14 @@ impl Classifier {
 }
 
 /// The process's one ONNX Runtime environment: a second one is refused, and so is a second library.
-fn environment(library: &Path) -> Result<Environment, ort::Error> {
+fn environment(library: &Path) -> Result<Environment, RunError> {
     static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
     let mut environment = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(environment) = &*environment {
         return Ok(environment.clone());
     }
-    let made = ort::init_from(library)?.with_name("tendon").with_telemetry(false).build()?;
+    let library = ort::init_from(library).map_err(|error| RunError::Runtime(error.to_string()))?;
+    let made = library.with_name("tendon").with_telemetry(false).build()?;
     Ok(environment.insert(made).clone())
 }
 

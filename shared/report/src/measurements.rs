@@ -308,7 +308,9 @@ mod tests {
             session.absorb(&batch, &[]);
         };
         // An observer that joins late has missed nothing, nor has a process that begins anew.
-        [(1, 7), (1, 8), (1, 11), (2, 0), (2, 1), (2, 3)].map(|(process, number)| numbered(process, number));
+        for (process_id, sequence) in [(1, 7), (1, 8), (1, 11), (2, 0), (2, 1), (2, 3)] {
+            numbered(process_id, sequence);
+        }
         assert_eq!(session.lost_batches(), 3);
     }
 
