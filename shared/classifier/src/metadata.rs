@@ -22,8 +22,7 @@ pub fn people_trained(model: &Path) -> io::Result<Vec<u16>> {
 
 /// The metadata's value for `key`.
 fn metadata(model: &[u8], key: &str) -> Option<String> {
-    let mut fields = Fields(model);
-    while let Some((number, content)) = fields.next() {
+    for (number, content) in Fields(model) {
         if number == METADATA {
             let text = |wanted| {
                 let mut entry = Fields(content);
