@@ -34,8 +34,11 @@ fn triple(report: &ClassScores) -> Vec<f64> {
 
 #[test]
 fn every_score_is_scikit_learns_to_the_last_digit() {
-    for (index, case) in cases().iter().enumerate() {
+    let cases = cases();
+    assert_eq!(cases.len(), 3);
+    for (index, case) in cases.iter().enumerate() {
         let evaluation = evaluate(case);
+        assert_eq!(evaluation.classes.len(), case["per_class"].as_array().unwrap().len(), "case {index}");
         assert_eq!(evaluation.accuracy, case["accuracy"].as_f64().unwrap(), "case {index}");
         assert!((evaluation.loss - case["loss"].as_f64().unwrap()).abs() < 1e-12, "case {index}");
         for (class, expected) in evaluation.classes.iter().zip(case["per_class"].as_array().unwrap()) {
