@@ -433,7 +433,7 @@ fn a_data_set_that_says_of_no_window_what_it_is_for_is_refused() {
     StoredDataset::open(&out).unwrap();
     fs::remove_file(out.join("splits.npy")).unwrap();
     let message = StoredDataset::open(&out).unwrap_err().to_string();
-    assert!(message.contains("splits.npy") && message.contains("build the data set anew"), "{message}");
+    assert!(message.contains("splits.npy") && message.contains("rebuild the data set"), "{message}");
 }
 
 /// Labels for recordings at 1000 Hz.
@@ -590,7 +590,7 @@ fn a_file_a_trial_is_told_by_its_name() {
     let reasons: Vec<&str> = manifest.skipped.iter().map(|entry| entry.reason.as_str()).collect();
     assert_eq!(reasons.len(), 2, "{reasons:?}");
     assert!(reasons[0].contains("P<person>_C<cycle>_G<gesture>.csv"), "{reasons:?}");
-    assert_eq!(reasons[1], "its gesture is none of the six");
+    assert_eq!(reasons[1], "its gesture is not one of the six");
 
     write_table(&folder.join("P02_C0_G1.csv"), 1, 3000);
     let message = build(&settings, &BuildSettings::default(), &folder, &out).unwrap_err().to_string();
@@ -723,7 +723,7 @@ fn recordings_of_several_layouts_or_none_are_refused() {
     write_table(&tables.join("a.csv"), 1, 10);
     let none = message(&[folder.clone(), tables.clone()]);
     assert!(
-        none.contains("no recordings found") && none.contains("a.csv: its name is no P<person>"),
+        none.contains("no recordings found") && none.contains("a.csv: its name is not P<person>"),
         "{none}"
     );
     assert!(message(&[temporary.path().join("nowhere")]).contains("cannot open"));
