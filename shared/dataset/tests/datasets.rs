@@ -493,7 +493,7 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     assert!(reason("nobody.csv", "has no label for it"), "{skipped:?}");
     assert!(reason("missing.csv", "labels.csv, line 8, names it, but there is no such file"), "{skipped:?}");
     assert!(reason("monday.csv", "line 4: gesture `fist` is none of rest, extension"), "{skipped:?}");
-    assert!(reason("monday.csv", "it lasts to sample 4100, but the file has only 4000"), "{skipped:?}");
+    assert!(reason("monday.csv", "it ends at sample 4100, but the file has only 4000"), "{skipped:?}");
 
     // The filter runs through the whole file: the same samples, in one piece.
     let whole = temporary.path().join("whole");
