@@ -56,7 +56,8 @@ impl Config {
             ("inference.runtime_library", &self.inference.runtime_library),
         ] {
             if let Some(path) = path.as_ref().filter(|path| path.to_str().is_none()) {
-                let remedy = "the path is not UTF-8, which a configuration cannot hold: rename the file or folder";
+                let remedy =
+                    "the path is not UTF-8, which a configuration cannot hold: rename the file or folder";
                 return refuse(key, path.display(), remedy);
             }
         }

@@ -217,7 +217,10 @@ mod tests {
         config.acquisition.replay.path = Some(odd.join("emg.csv"));
         for refused in [config.check(), config.with("session=other").map(drop)] {
             let message = refused.unwrap_err().to_string();
-            assert!(message.starts_with("acquisition.replay.path = ") && message.contains("rename"), "{message}");
+            assert!(
+                message.starts_with("acquisition.replay.path = ") && message.contains("rename"),
+                "{message}"
+            );
         }
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join(odd)).unwrap();
