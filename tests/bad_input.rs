@@ -156,7 +156,14 @@ fn a_session_name_that_cannot_be_one() {
 #[test]
 fn too_little_shared_memory() {
     assert_refused(
-        &["--set", "acquisition.channels=1024", "--set", "acquisition.block_samples=100000"],
+        &[
+            "--set",
+            "acquisition.channels=1024",
+            "--set",
+            "acquisition.sample_rate_hz=100000",
+            "--set",
+            "acquisition.block_samples=10000",
+        ],
         &["/dev/shm", "MB free, but the session may need", "take fewer channels or shorter blocks"],
     );
 }

@@ -66,6 +66,8 @@ fn write_if_there_is_room(pipe: &mut (impl Write + AsFd), line: &[u8]) -> std::i
 pub struct Children {
     /// Where the programs lie.
     folder: PathBuf,
+    /// The program that acquires, if it is not the one there.
+    acquisition: Option<PathBuf>,
     /// The session's configuration.
     config: PathBuf,
     events: Sender<Event>,
@@ -80,13 +82,20 @@ struct Running {
 }
 
 impl Children {
-    /// Starts all stages, which lie beside this program, on the configuration at `config`. What they say
-    /// comes as `events`. With `arm_stays` the robot is started as after the end of another.
-    pub fn start(config: &Path, events: &Sender<Event>, arm_stays: bool) -> anyhow::Result<Children> {
+    /// Starts all stages, which lie beside this program, on the configuration at `config`; instead of the acquisition
+    /// there, the program `acquisition`, if one is named. What they say comes as `events`. With `arm_stays` the robot
+    /// is started as after the end of another.
+    pub fn start(
+        config: &Path,
+        acquisition: Option<&Path>,
+        events: &Sender<Event>,
+        arm_stays: bool,
+    ) -> anyhow::Result<Children> {
         let program = std::env::current_exe().context("cannot find this program's own folder")?;
         let folder = program.parent().context("this program is in no folder")?;
         let mut children = Children {
             folder: folder.to_owned(),
+            acquisition: acquisition.map(Path::to_owned),
             config: config.to_owned(),
             events: events.clone(),
             running: Vec::new(),
@@ -103,7 +112,10 @@ impl Children {
     }
 
     fn start_stage(&mut self, stage: Stage, is_restarted: bool) -> anyhow::Result<()> {
-        let path = self.folder.join(format!("tendon-{}", stage.name()));
+        let path = match (&self.acquisition, stage) {
+            (Some(program), Stage::Acquisition) => program.clone(),
+            _ => self.folder.join(format!("tendon-{}", stage.name())),
+        };
         let mut process = Command::new(&path)
             .arg("--config")
             .arg(&self.config)

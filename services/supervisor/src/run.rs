@@ -205,16 +205,7 @@ impl Options {
                 "--task is for the arm's own time: leave --pace full away"
             );
         }
-        for path in [
-            &mut config.acquisition.simulate.profile,
-            &mut config.acquisition.replay.path,
-            &mut config.inference.model,
-            &mut config.inference.rest_move_model,
-            &mut config.inference.runtime_library,
-        ]
-        .into_iter()
-        .flatten()
-        {
+        for path in config.files_mut() {
             *path = std::path::absolute(&path)
                 .with_context(|| format!("cannot make {} an absolute path", path.display()))?;
         }
@@ -310,7 +301,8 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
              and a rest",
         );
     }
-    let children = Children::start(&config_file, &sender, arm_stays).map_err(Failure::input)?;
+    let children = Children::start(&config_file, config.acquisition.program.as_deref(), &sender, arm_stays)
+        .map_err(Failure::input)?;
     let mut watch = Watch {
         config,
         events,
@@ -699,6 +691,7 @@ impl Watch<'_> {
             source: match acquisition.source {
                 Source::Simulate => "simulate".to_owned(),
                 Source::Replay => "replay".to_owned(),
+                Source::Device => "device".to_owned(),
             },
             robot: match robot.backend {
                 Backend::Simulate => "simulate".to_owned(),

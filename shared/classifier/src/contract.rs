@@ -118,6 +118,10 @@ impl Contract {
         };
         let filter = get("tendon.filter")?;
         let classes = get("tendon.classes")?;
+        let classes = read_classes(&classes).ok_or_else(|| wrong("tendon.classes", &classes))?;
+        if let Some(class) = twice(&classes) {
+            return Err(format!("the metadata's `tendon.classes` name `{class}` twice"));
+        }
         let people = lookup("tendon.people_trained").unwrap_or_default();
         let accuracy = "tendon.validation_accuracy";
         Ok(Contract {
@@ -134,11 +138,7 @@ impl Contract {
                 Some("envelope") => WindowInput::Envelope,
                 Some(other) => return Err(wrong("tendon.input", other)),
             },
-            classes: classes
-                .split(',')
-                .map(|name| name.trim().parse())
-                .collect::<Result<Vec<Class>, _>>()
-                .map_err(|_| wrong("tendon.classes", &classes))?,
+            classes,
             people_trained: people
                 .split_whitespace()
                 .map(str::parse)
@@ -189,6 +189,16 @@ impl Contract {
         compare("input", self.input == source.input, said(self.input), said(source.input));
         mismatches
     }
+}
+
+fn read_classes(names: &str) -> Option<Vec<Class>> {
+    names.split(',').map(|name| name.trim().parse().ok()).collect()
+}
+
+/// The first class that stands there twice.
+fn twice(classes: &[Class]) -> Option<Class> {
+    let is_repeated = |(index, class): (usize, &Class)| classes[..index].contains(class).then_some(*class);
+    classes.iter().enumerate().find_map(is_repeated)
 }
 
 #[cfg(test)]
@@ -270,6 +280,7 @@ mod tests {
             ("tendon.filter", Some("none"), "`tendon.filter` is `none`"),
             ("tendon.input", Some("spectrum"), "`tendon.input` is `spectrum`"),
             ("tendon.classes", Some("fist"), "`tendon.classes` is `fist`"),
+            ("tendon.classes", Some("rest,grip,rest"), "name `rest` twice"),
             ("tendon.contract_version", Some("2"), "contract version 2"),
             ("tendon.sequence_windows", Some("0"), "`tendon.sequence_windows` is `0`"),
             ("tendon.people_trained", Some("1 and 3"), "`tendon.people_trained` is `1 and 3`"),

@@ -19,6 +19,7 @@ use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::ValueType;
+use tendon_gesture::Class;
 
 pub use contract::{Contract, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
@@ -76,6 +77,18 @@ pub enum ClassifierError {
         /// Everything in which it differs, by name.
         differences: String,
     },
+    /// The outputs are no probabilities.
+    #[error(
+        "{}: its outputs are no probabilities, which lie from 0 to 1 and sum up to 1: {outputs}; export it with a softmax \
+         as its last layer, as models/training/train.py does",
+        path.display()
+    )]
+    NoProbabilities {
+        /// The model.
+        path: PathBuf,
+        /// Each class and what the model gave for it.
+        outputs: String,
+    },
     /// A window could not be classified.
     #[error("the model failed on a window: {reason}")]
     Run {
@@ -125,7 +138,10 @@ impl Classifier {
         let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
         let runner = Runner::new(session, [&input, &output], &input_shape(&contract), contract.classes.len())
             .map_err(|error| model_error(error.to_string()))?;
-        Ok(Classifier { path: model.to_owned(), contract, runner })
+        let silence = vec![0.0; input_shape(&contract).iter().product::<i64>() as usize];
+        let mut classifier = Classifier { path: model.to_owned(), contract, runner };
+        classifier.classify(&silence)?;
+        Ok(classifier)
     }
 
     /// The model's file.
@@ -159,10 +175,32 @@ impl Classifier {
     /// # Errors
     ///
     /// [`ClassifierError::Run`] when the window has another length than the contract says, or ONNX Runtime
-    /// fails.
+    /// fails; [`ClassifierError::NoProbabilities`] when the outputs are none.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
-        self.runner.run(window).map_err(|reason| ClassifierError::Run { reason })
+        self.probabilities(window).map(|(_, probabilities)| probabilities)
     }
+
+    /// As [`Classifier::classify`], with the classes.
+    fn probabilities(&mut self, window: &[f32]) -> Result<(&[Class], &[f32]), ClassifierError> {
+        let outputs = self.runner.run(window).map_err(|reason| ClassifierError::Run { reason })?;
+        if !are_probabilities(outputs) {
+            let outputs = self.contract.classes.iter().zip(outputs);
+            let outputs: Vec<String> = outputs.map(|(class, output)| format!("{class} {output}")).collect();
+            return Err(ClassifierError::NoProbabilities {
+                path: self.path.clone(),
+                outputs: outputs.join(", "),
+            });
+        }
+        Ok((&self.contract.classes, outputs))
+    }
+}
+
+/// Whether each lies from 0 to 1 and together they are 1, to within what rounding and reduced precision may do.
+fn are_probabilities(outputs: &[f32]) -> bool {
+    const TOLERANCE: f32 = 0.01;
+    // A NaN is in no range.
+    outputs.iter().all(|output| (-TOLERANCE..=1.0 + TOLERANCE).contains(output))
+        && (outputs.iter().sum::<f32>() - 1.0).abs() <= TOLERANCE
 }
 
 /// The process's one ONNX Runtime environment: a second one is refused, and so is a second library.
@@ -220,4 +258,20 @@ fn input_shape(contract: &Contract) -> Vec<i64> {
 /// ONNX Runtime's messages come with line breaks; an error of ours is one sentence.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::are_probabilities;
+
+    #[test]
+    fn probabilities_are_told_from_other_outputs() {
+        assert!(are_probabilities(&[0.25, 0.75, 0.0]));
+        assert!(are_probabilities(&[0.3334, 0.3334, 0.3334]));
+        for outputs in
+            [[5.26, -4.0, -0.26], [0.9, 0.9, 0.9], [f32::NAN, 0.5, 0.5], [0.0; 3], [f32::INFINITY; 3]]
+        {
+            assert!(!are_probabilities(&outputs), "{outputs:?}");
+        }
+    }
 }

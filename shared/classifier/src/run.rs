@@ -4,9 +4,9 @@
 //! input address without doing so. The path of a sample must not allocate, and the window must be read where
 //! it lies, in shared memory; so the one call that does this goes to ONNX Runtime's C interface directly.
 
-use std::ffi::{CStr, CString, c_void};
+use std::ffi::{CStr, CString};
 use std::fmt;
-use std::ptr::{null, null_mut};
+use std::ptr::{NonNull, null, null_mut};
 
 use ort::AsPointer;
 use ort::memory::{AllocationDevice, AllocatorType, MemoryInfo, MemoryType};
@@ -19,9 +19,9 @@ pub(crate) struct Runner {
     output_name: CString,
     shape: Box<[i64]>,
     input_length: usize,
-    outputs: Box<[f32]>,
-    /// Tensor over `outputs`.
+    /// Tensor over `outputs`; fields are dropped in this order.
     output_tensor: Tensor,
+    outputs: Outputs,
     memory: MemoryInfo<'static>,
     session: Session,
 }
@@ -42,17 +42,16 @@ impl Runner {
         let memory = MemoryInfo::new(AllocationDevice::CPU, 0, AllocatorType::Device, MemoryType::Default)
             .map_err(|error| error.to_string())?;
         let name = |name: &str| CString::new(name).map_err(|error| error.to_string());
-        let mut outputs = vec![0.0; classes].into_boxed_slice();
-        // SAFETY: the boxed slice keeps its address when moved into the runner, outlives the tensor there, and
-        // is only read or written by others between runs.
-        let output_tensor = unsafe { Tensor::over(&memory, &mut outputs, &[1, classes as i64]) }?;
+        let outputs = Outputs::new(classes);
+        // SAFETY: the memory belongs to `outputs`, which the runner drops after the tensor.
+        let output_tensor = unsafe { Tensor::at(&memory, outputs.0, &[1, classes as i64]) }?;
         Ok(Runner {
             input_name: name(input_name)?,
             output_name: name(output_name)?,
             shape: shape.into(),
             input_length: shape.iter().product::<i64>() as usize,
-            outputs,
             output_tensor,
+            outputs,
             memory,
             session,
         })
@@ -65,7 +64,7 @@ impl Runner {
         }
         // SAFETY: ONNX Runtime only reads inputs; the tensor is dropped at the end of this function, before
         // the borrow of `input` ends.
-        let tensor = unsafe { Tensor::over_input(&self.memory, input, &self.shape) }?;
+        let tensor = unsafe { Tensor::at(&self.memory, NonNull::from(input), &self.shape) }?;
         let input_names = [self.input_name.as_ptr()];
         let inputs = [tensor.0.cast_const()];
         let output_names = [self.output_name.as_ptr()];
@@ -86,7 +85,26 @@ impl Runner {
             )
         };
         check(status)?;
-        Ok(&self.outputs)
+        // SAFETY: the memory is initialised and lives as long as `self`; ONNX Runtime writes to it in a run only,
+        // and `&mut self` keeps a run away as long as the borrow lasts.
+        Ok(unsafe { self.outputs.0.as_ref() })
+    }
+}
+
+/// Memory that ONNX Runtime writes to. It is owned by its address, because a `Box` that is moved, as it is into the
+/// runner, may not be reached by a pointer taken before.
+struct Outputs(NonNull<[f32]>);
+
+impl Outputs {
+    fn new(length: usize) -> Outputs {
+        Outputs(NonNull::from(Box::leak(vec![0.0; length].into_boxed_slice())))
+    }
+}
+
+impl Drop for Outputs {
+    fn drop(&mut self) {
+        // SAFETY: the pointer came from a box that was leaked, and is given back once, here.
+        drop(unsafe { Box::from_raw(self.0.as_ptr()) });
     }
 }
 
@@ -96,37 +114,17 @@ struct Tensor(*mut sys::OrtValue);
 impl Tensor {
     /// # Safety
     ///
-    /// `values` must stay where it is and alive as long as the tensor is used.
-    unsafe fn over(memory: &MemoryInfo<'_>, values: &mut [f32], shape: &[i64]) -> Result<Tensor, String> {
-        // SAFETY: passed on to the caller.
-        unsafe { Tensor::at(memory, values.as_mut_ptr().cast(), size_of_val(values), shape) }
-    }
-
-    /// # Safety
-    ///
-    /// As [`Tensor::over`], and the tensor must only be used as an input, which is never written to.
-    unsafe fn over_input(memory: &MemoryInfo<'_>, values: &[f32], shape: &[i64]) -> Result<Tensor, String> {
-        // SAFETY: passed on to the caller.
-        unsafe { Tensor::at(memory, values.as_ptr().cast_mut().cast(), size_of_val(values), shape) }
-    }
-
-    /// # Safety
-    ///
-    /// `values` must point to `bytes` bytes of f32 that live as long as the tensor is used.
-    unsafe fn at(
-        memory: &MemoryInfo<'_>,
-        values: *mut c_void,
-        bytes: usize,
-        shape: &[i64],
-    ) -> Result<Tensor, String> {
+    /// `values` must live as long as the tensor is used, and, unless the tensor is used as an input only, which is
+    /// never written to, must be writable.
+    unsafe fn at(memory: &MemoryInfo<'_>, values: NonNull<[f32]>, shape: &[i64]) -> Result<Tensor, String> {
         let mut tensor = null_mut();
         // SAFETY: `memory` and `shape` are alive for the call, `values` by the caller's promise, and `tensor`
         // receives the pointer.
         let status = unsafe {
             (ort::api().CreateTensorWithDataAsOrtValue)(
                 memory.ptr(),
-                values,
-                bytes,
+                values.as_ptr().cast(),
+                values.len() * size_of::<f32>(),
                 shape.as_ptr(),
                 shape.len(),
                 sys::ONNXTensorElementDataType::ONNX_TENSOR_ELEMENT_DATA_TYPE_FLOAT,

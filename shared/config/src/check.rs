@@ -4,6 +4,9 @@ use tendon_transport::Delivery;
 
 use crate::{Backend, Config, ConfigError, Source};
 
+/// Longest block: the stages act upon nothing older.
+const LONGEST_BLOCK_MS: f64 = 100.0;
+
 /// Most channels a session may have; beyond it a header is more likely damaged than meant.
 const MAXIMUM_CHANNELS: usize = 1024;
 
@@ -37,6 +40,33 @@ impl Config {
                 "acquisition.block_samples",
                 acquisition.block_samples.to_string(),
                 "take 1 to 100000 samples",
+            );
+        }
+        let duration_ms = |samples: usize| samples as f64 * 1e3 / acquisition.sample_rate_hz;
+        if duration_ms(acquisition.block_samples) > LONGEST_BLOCK_MS {
+            return value(
+                "acquisition.block_samples",
+                acquisition.block_samples.to_string(),
+                "such a block is longer than 100 ms, and its first samples are too old to act upon when it comes: \
+                 take 5 to 20 ms",
+            );
+        }
+        if duration_ms(self.dsp.windows.increment_samples) >= self.robot.arm.watchdog_ms as f64 {
+            return value(
+                "dsp.windows.increment_samples",
+                self.dsp.windows.increment_samples.to_string(),
+                &format!(
+                    "the arm stops {} ms after a command (robot.arm.watchdog_ms), before the next one comes: take a \
+                     smaller increment, such as half of that",
+                    self.robot.arm.watchdog_ms
+                ),
+            );
+        }
+        if acquisition.source == Source::Device && acquisition.program.is_none() {
+            return value(
+                "acquisition.program",
+                "(none)".to_owned(),
+                "name the program that reads the device: acquisition.source is \"device\"",
             );
         }
         let jitter_ms = acquisition.simulate.jitter_ms;
@@ -110,5 +140,19 @@ mod tests {
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.channels = Some(vec![Channel::Index(0)]);
         assert!(config.check().unwrap_err().to_string().contains("as many as acquisition.channels"));
+    }
+
+    #[test]
+    fn a_block_too_long_to_act_upon_and_an_increment_beyond_the_watchdog_are_refused() {
+        let refused = |change: fn(&mut Config)| {
+            let mut config = Config::default();
+            change(&mut config);
+            config.check().unwrap_err().to_string()
+        };
+        assert!(refused(|config| config.acquisition.block_samples = 201).contains("longer than 100 ms"));
+        let error = refused(|config| config.dsp.windows.increment_samples = 300);
+        assert!(error.contains("robot.arm.watchdog_ms"), "{error}");
+        let error = refused(|config| config.acquisition.source = Source::Device);
+        assert!(error.contains("acquisition.program"), "{error}");
     }
 }
