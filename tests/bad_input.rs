@@ -155,15 +155,14 @@ fn a_session_name_that_cannot_be_one() {
 
 #[test]
 fn too_little_shared_memory() {
+    let settings = [
+        "acquisition.channels=1000",
+        "acquisition.sample_rate_hz=10000",
+        "acquisition.block_samples=1000",
+        "dsp.windows.window_samples=100000",
+    ];
     assert_refused(
-        &[
-            "--set",
-            "acquisition.channels=1024",
-            "--set",
-            "acquisition.sample_rate_hz=100000",
-            "--set",
-            "acquisition.block_samples=10000",
-        ],
+        &settings.map(|setting| ["--set", setting]).concat(),
         &["/dev/shm", "MB free, but the session may need", "take fewer channels or shorter blocks"],
     );
 }
@@ -172,7 +171,9 @@ fn too_little_shared_memory() {
 fn real_time_scheduling_is_had_or_refused() {
     let ended = TendonBuilder::run(&unique_session()).args(&["--realtime", "on", "--duration", "1s"]).end();
     if ended.exit_code == Some(0) {
-        for (stage, scheduling) in ended.report().scheduling {
+        let scheduling = ended.report().scheduling;
+        assert_eq!(scheduling.len(), 5, "{scheduling:?}");
+        for (stage, scheduling) in scheduling {
             assert!(scheduling.contains("SCHED_FIFO"), "{stage}: {scheduling}");
             assert!(scheduling.contains("memory locked"), "{stage}: {scheduling}");
         }

@@ -8,7 +8,7 @@ use tendon_classifier::{Recogniser, runtime_library};
 use tendon_config::{Config, Pace, Source};
 use tendon_gesture::{DecisionSettings, Gesture, Strategy};
 use tendon_messages::{PREDICTIONS, WINDOWS};
-use tendon_pipeline::{Pipeline, PipelineSettings, Step};
+use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
 use tendon_report::Report;
 use tendon_system_tests::recordings::{MOVEMENT, REST, Stretch, real_three_dc, write_table, write_three_dc};
@@ -131,7 +131,7 @@ fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, [f32; Ges
     let mut block = vec![0.0; config.block_length()];
     let mut windows = HashMap::new();
     while stream.next_block(&mut block).unwrap().is_some() {
-        let keep = |step: Step<'_>| {
+        let keep = |step: tendon_pipeline::Step<'_>| {
             windows.insert(step.window.first_sample, (step.samples.to_vec(), *step.probabilities));
         };
         pipeline.push(&block, keep).unwrap();

@@ -1,4 +1,4 @@
-//! What a model was trained for, as it stands in its metadata.
+//! What a model was trained for, according to its metadata.
 
 use std::fmt;
 
@@ -17,11 +17,11 @@ pub struct Contract {
     pub sample_rate_hz: f64,
     /// Samples of each channel in a window.
     pub window_samples: usize,
-    /// Successive windows that are classified together: 1, but for a model of sequences.
+    /// Successive windows that are classified together: 1, except for a model of sequences.
     pub sequence_windows: usize,
     /// Filter before the window.
     pub filter: FilterSettings,
-    /// What the window holds; without a word on it, the filtered signal.
+    /// What the window holds; the filtered signal if the metadata do not say.
     pub input: WindowInput,
     /// Classes in the order of the outputs.
     pub classes: Vec<Class>,
@@ -36,7 +36,7 @@ pub struct Contract {
 /// What delivers windows to a model: a session, or a data set.
 #[derive(Clone, Copy, Debug)]
 pub struct WindowSource<'a> {
-    /// What it is, for messages: `the session`.
+    /// Its name in messages: `the session`.
     pub name: &'static str,
     /// Number of channels.
     pub channels: usize,
@@ -44,9 +44,9 @@ pub struct WindowSource<'a> {
     pub sample_rate_hz: f64,
     /// Samples of each channel in a window.
     pub window_samples: usize,
-    /// Most successive windows that it hands over together.
+    /// Largest number of successive windows that it delivers together.
     pub sequence_windows: usize,
-    /// Filter before the window; `None` where the recordings were filtered before, nobody knows how.
+    /// Filter before the window; `None` if the recordings had been filtered in an unknown way.
     pub filter: Option<&'a FilterSettings>,
     /// What a window holds.
     pub input: WindowInput,
@@ -72,7 +72,7 @@ impl<'a> WindowSource<'a> {
     }
 }
 
-/// Something in which a model and what delivers its windows differ.
+/// A difference between a model and the source of its windows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mismatch {
     /// What differs.
@@ -92,60 +92,100 @@ impl fmt::Display for Mismatch {
     }
 }
 
+/// What can be wrong with what a model says of itself.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ContractProblem {
+    /// Metadata that are missing.
+    #[error("the metadata lack `{key}`, so nobody can know what it fits")]
+    Missing {
+        /// The key.
+        key: &'static str,
+    },
+    /// Metadata that mean nothing.
+    #[error("the metadata's `{key}` is `{value}`, which makes no sense")]
+    Senseless {
+        /// The key.
+        key: &'static str,
+        /// Its value.
+        value: String,
+    },
+    /// Metadata of another layout.
+    #[error("the metadata are of contract version {found}, this program reads {}", CONTRACT_VERSION)]
+    Version {
+        /// Their version.
+        found: String,
+    },
+    /// Two outputs for one class.
+    #[error("the metadata's `tendon.classes` name `{class}` twice")]
+    ClassTwice {
+        /// The class.
+        class: Class,
+    },
+    /// Too many inputs or outputs, or none.
+    #[error("the model has {found} {what}s instead of one")]
+    Count {
+        /// `input` or `output`.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+    },
+    /// An input or output of another shape or type than the metadata say.
+    #[error("the {what} is {found}, not float32 {expected:?} as the metadata say")]
+    Shape {
+        /// `input` or `output`.
+        what: &'static str,
+        /// What it is.
+        found: String,
+        /// The shape that follows from the metadata.
+        expected: Vec<i64>,
+    },
+    /// Outputs that are no probabilities: a softmax is missing.
+    #[error("its outputs are no probabilities, from 0 to 1 and 1 together, but {outputs:?}")]
+    NoProbabilities {
+        /// The outputs for a window of zeros.
+        outputs: Vec<f32>,
+    },
+}
+
 impl Contract {
     /// Reads a contract through `lookup`, which gives the metadata's value for a key.
     ///
     /// # Errors
     ///
-    /// A sentence on the first key that is missing or wrong.
-    pub fn read(lookup: impl Fn(&str) -> Option<String>) -> Result<Contract, String> {
-        let get = |key: &str| {
-            lookup(key).ok_or_else(|| format!("the metadata lack `{key}`, so nobody can know what it fits"))
-        };
-        let wrong =
-            |key: &str, value: &str| format!("the metadata's `{key}` is `{value}`, which makes no sense");
+    /// The first key that is missing or wrong.
+    pub fn read(lookup: impl Fn(&str) -> Option<String>) -> Result<Contract, ContractProblem> {
+        let get = |key: &'static str| lookup(key).ok_or(ContractProblem::Missing { key });
         let version = get("tendon.contract_version")?;
         if version != CONTRACT_VERSION {
-            return Err(format!(
-                "the metadata are of contract version {version}, this program reads {CONTRACT_VERSION}"
-            ));
-        }
-        let count = |key: &str, value: String| {
-            value.parse().ok().filter(|count: &usize| *count > 0).ok_or_else(|| wrong(key, &value))
-        };
-        let number = |key: &str, value: String, is_valid: fn(f64) -> bool| {
-            value.parse().ok().filter(|number| is_valid(*number)).ok_or_else(|| wrong(key, &value))
-        };
-        let filter = get("tendon.filter")?;
-        let classes = get("tendon.classes")?;
-        let classes = read_classes(&classes).ok_or_else(|| wrong("tendon.classes", &classes))?;
-        if let Some(class) = twice(&classes) {
-            return Err(format!("the metadata's `tendon.classes` name `{class}` twice"));
+            return Err(ContractProblem::Version { found: version });
         }
         let people = lookup("tendon.people_trained").unwrap_or_default();
         let accuracy = "tendon.validation_accuracy";
         Ok(Contract {
-            channels: count("tendon.channels", get("tendon.channels")?)?,
-            sample_rate_hz: number("tendon.sample_rate_hz", get("tendon.sample_rate_hz")?, |rate| {
+            channels: count("tendon.channels", &get("tendon.channels")?)?,
+            sample_rate_hz: number("tendon.sample_rate_hz", &get("tendon.sample_rate_hz")?, |rate| {
                 rate.is_finite() && rate > 0.0
             })?,
-            window_samples: count("tendon.window_samples", get("tendon.window_samples")?)?,
+            window_samples: count("tendon.window_samples", &get("tendon.window_samples")?)?,
             sequence_windows: lookup("tendon.sequence_windows")
-                .map_or(Ok(1), |value| count("tendon.sequence_windows", value))?,
-            filter: serde_json::from_str(&filter).map_err(|_| wrong("tendon.filter", &filter))?,
+                .map_or(Ok(1), |value| count("tendon.sequence_windows", &value))?,
+            filter: {
+                let filter = get("tendon.filter")?;
+                serde_json::from_str(&filter).map_err(|_| senseless("tendon.filter", &filter))?
+            },
             input: match lookup("tendon.input").as_deref() {
                 None | Some("raw") => WindowInput::Raw,
                 Some("envelope") => WindowInput::Envelope,
-                Some(other) => return Err(wrong("tendon.input", other)),
+                Some(other) => return Err(senseless("tendon.input", other)),
             },
-            classes,
+            classes: read_classes(&get("tendon.classes")?)?,
             people_trained: people
                 .split_whitespace()
                 .map(str::parse)
                 .collect::<Result<Vec<u16>, _>>()
-                .map_err(|_| wrong("tendon.people_trained", &people))?,
+                .map_err(|_| senseless("tendon.people_trained", &people))?,
             validation_accuracy: lookup(accuracy)
-                .map(|value| number(accuracy, value, |share| (0.0..=1.0).contains(&share)))
+                .map(|value| number(accuracy, &value, |share| (0.0..=1.0).contains(&share)))
                 .transpose()?,
             provenance: lookup("tendon.provenance"),
         })
@@ -191,14 +231,29 @@ impl Contract {
     }
 }
 
-fn read_classes(names: &str) -> Option<Vec<Class>> {
-    names.split(',').map(|name| name.trim().parse().ok()).collect()
+fn senseless(key: &'static str, value: &str) -> ContractProblem {
+    ContractProblem::Senseless { key, value: value.to_owned() }
 }
 
-/// The first class that stands there twice.
-fn twice(classes: &[Class]) -> Option<Class> {
-    let is_repeated = |(index, class): (usize, &Class)| classes[..index].contains(class).then_some(*class);
-    classes.iter().enumerate().find_map(is_repeated)
+fn count(key: &'static str, value: &str) -> Result<usize, ContractProblem> {
+    value.parse().ok().filter(|count: &usize| *count > 0).ok_or_else(|| senseless(key, value))
+}
+
+fn number(key: &'static str, value: &str, is_valid: fn(f64) -> bool) -> Result<f64, ContractProblem> {
+    value.parse().ok().filter(|number| is_valid(*number)).ok_or_else(|| senseless(key, value))
+}
+
+/// The classes of `extension,flexion,…`, each at most once.
+fn read_classes(names: &str) -> Result<Vec<Class>, ContractProblem> {
+    let mut classes = Vec::new();
+    for name in names.split(',') {
+        let class: Class = name.trim().parse().map_err(|_| senseless("tendon.classes", names))?;
+        if classes.contains(&class) {
+            return Err(ContractProblem::ClassTwice { class });
+        }
+        classes.push(class);
+    }
+    Ok(classes)
 }
 
 #[cfg(test)]
@@ -280,16 +335,16 @@ mod tests {
             ("tendon.filter", Some("none"), "`tendon.filter` is `none`"),
             ("tendon.input", Some("spectrum"), "`tendon.input` is `spectrum`"),
             ("tendon.classes", Some("fist"), "`tendon.classes` is `fist`"),
-            ("tendon.classes", Some("rest,grip,rest"), "name `rest` twice"),
             ("tendon.contract_version", Some("2"), "contract version 2"),
             ("tendon.sequence_windows", Some("0"), "`tendon.sequence_windows` is `0`"),
             ("tendon.people_trained", Some("1 and 3"), "`tendon.people_trained` is `1 and 3`"),
             ("tendon.validation_accuracy", Some("NaN"), "`tendon.validation_accuracy` is `NaN`"),
+            ("tendon.classes", Some("grip,rest,grip"), "name `grip` twice"),
         ] {
             let changed = |asked: &str| {
                 if asked == key { value.map(str::to_owned) } else { metadata(asked) }
             };
-            let error = Contract::read(changed).unwrap_err();
+            let error = Contract::read(changed).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");
         }
     }

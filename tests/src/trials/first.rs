@@ -57,6 +57,14 @@ pub fn run(bench: &Bench, plan: &Plan) -> First {
     if plan.is_released && plan.cause == Cause::EmergencyStop {
         bench.emulator.inject(Fault::Release);
     }
+    let may_move_afterwards = plan.cause.may_move_afterwards(plan.phase);
+    if failures.contains(&Failure::NoEnd) {
+        // What runs on leaves everything where it is.
+        let errors = session.outputs.errors();
+        bench.end_processes();
+        let _ = session.child.wait();
+        return First { failures, errors, stop_ms, may_move_afterwards };
+    }
     let left = session.processes_that_stay();
     if !left.is_empty() {
         failures.push(Failure::Processes(left));
@@ -66,7 +74,6 @@ pub fn run(bench: &Bench, plan: &Plan) -> First {
     if !files.is_empty() && !session.was_supervisor_killed() {
         failures.push(Failure::Leftovers(files));
     }
-    let may_move_afterwards = plan.cause.may_move_afterwards(plan.phase);
     First { failures, errors: session.outputs.errors(), stop_ms, may_move_afterwards }
 }
 

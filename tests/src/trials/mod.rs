@@ -122,7 +122,9 @@ impl fmt::Display for Failure {
             Failure::LateMotion(ms) => write!(formatter, "{kind}: {ms:.0} ms after the cause"),
             Failure::UnaskedMotion(speed) => write!(formatter, "{kind}: up to {speed:.0} mm/s"),
             Failure::ErrorCleared(code) => write!(formatter, "{kind}: {code}"),
-            Failure::Leftovers(files) => write!(formatter, "{kind}: {files:?}"),
+            Failure::Leftovers(files) => {
+                write!(formatter, "{kind}: {} files, such as {:?}", files.len(), files.first())
+            }
             Failure::Processes(names) => write!(formatter, "{kind}: {names:?}"),
             Failure::LostReport(why) | Failure::ExitCode(why) => write!(formatter, "{kind}: {why}"),
             Failure::Panic | Failure::NoEnd | Failure::NotReached => formatter.write_str(kind),
