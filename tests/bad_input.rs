@@ -155,8 +155,14 @@ fn a_session_name_that_cannot_be_one() {
 
 #[test]
 fn too_little_shared_memory() {
+    let settings = [
+        "acquisition.channels=1000",
+        "acquisition.sample_rate_hz=10000",
+        "acquisition.block_samples=1000",
+        "dsp.windows.window_samples=100000",
+    ];
     assert_refused(
-        &["--set", "acquisition.channels=1024", "--set", "acquisition.block_samples=100000"],
+        &settings.map(|setting| ["--set", setting]).concat(),
         &["/dev/shm", "MB free, but the session may need", "take fewer channels or shorter blocks"],
     );
 }

@@ -35,7 +35,7 @@ impl Config {
         self.check_paths()?;
         self.check_samples()?;
         self.check_simulation()?;
-        self.check_replay()?;
+        self.check_source()?;
         self.check_windows()?;
         let acquisition = &self.acquisition;
         tendon_signal::SignalChain::new(&self.dsp, acquisition.channels, acquisition.sample_rate_hz)
@@ -115,8 +115,12 @@ impl Config {
         simulate.contraction().check().map_err(section("acquisition.simulate"))
     }
 
-    fn check_replay(&self) -> Result<(), ConfigError> {
+    fn check_source(&self) -> Result<(), ConfigError> {
         let acquisition = &self.acquisition;
+        if acquisition.source == Source::Device && acquisition.program.is_none() {
+            let remedy = "name the program that reads the device: acquisition.source is \"device\"";
+            return refuse("acquisition.program", "(none)", remedy);
+        }
         if let Some(rate_hz) = acquisition.replay.sample_rate_hz
             && !(1.0..=1_000_000.0).contains(&rate_hz)
         {
@@ -219,6 +223,15 @@ mod tests {
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.channels = Some(vec![Channel::Index(0)]);
         assert!(refusal(&config).contains("as many as acquisition.channels"));
+    }
+
+    #[test]
+    fn a_device_without_the_program_that_reads_it_is_refused() {
+        let mut config = Config::default();
+        config.acquisition.source = Source::Device;
+        assert!(refusal(&config).contains("acquisition.program"), "{}", refusal(&config));
+        config.acquisition.program = Some("acquire".into());
+        config.check().unwrap();
     }
 
     #[test]

@@ -15,19 +15,25 @@ impl Config {
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let mut config = Config::parse(&text, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        for setting in [
-            &mut config.acquisition.simulate.profile,
-            &mut config.acquisition.replay.path,
-            &mut config.inference.model,
-            &mut config.inference.rest_move_model,
-            &mut config.inference.runtime_library,
-        ] {
-            if let Some(value) = setting.as_mut() {
-                *value = folder.join(&value);
-            }
+        for file in config.files_mut() {
+            *file = folder.join(&file);
         }
         config.check_paths()?;
         Ok(config)
+    }
+
+    /// Every file that the configuration names.
+    pub fn files_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        [
+            &mut self.acquisition.program,
+            &mut self.acquisition.simulate.profile,
+            &mut self.acquisition.replay.path,
+            &mut self.inference.model,
+            &mut self.inference.rest_move_model,
+            &mut self.inference.runtime_library,
+        ]
+        .into_iter()
+        .flatten()
     }
 
     /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`. What
