@@ -41,8 +41,10 @@ impl OthersSession {
         let mut others = OthersSession { session, process, folder };
         wait_until("another user's session", || {
             assert!(others.process.try_wait().unwrap().is_none(), "it ended early");
-            let running = tendon_transport::running_sessions().contains(&(OTHER_USER, others.session.clone()));
-            let stop = || TendonBuilder::command(&unique_session(), &["stop", "--session", &others.name()]).end();
+            let running =
+                tendon_transport::running_sessions().contains(&(OTHER_USER, others.session.clone()));
+            let stop =
+                || TendonBuilder::command(&unique_session(), &["stop", "--session", &others.name()]).end();
             (running && stop().exit_code == Some(0)).then_some(())
         });
         others
@@ -131,7 +133,9 @@ fn a_session_is_found_though_the_environment_differs_and_its_files_were_deleted(
     assert!(latency.output.contains("acquisition to dsp"), "{latency:#?}");
     std::fs::remove_dir_all(given.path().join("tendon")).unwrap();
     assert!(run(&["stop", "--session", &name]).output.contains("the arm is stopped"));
-    TendonBuilder::run(tendon.session()).end().assert_failed(2, &["in use by process", &tendon.id().to_string()]);
+    TendonBuilder::run(tendon.session())
+        .end()
+        .assert_failed(2, &["in use by process", &tendon.id().to_string()]);
     tendon.signal(Signal::SIGTERM);
     assert_eq!(tendon.end().exit_code, Some(0));
 }

@@ -20,8 +20,10 @@ mod order;
 mod output;
 mod profile;
 mod progress;
+mod provenance;
 mod run;
 mod screen;
+mod session_outputs;
 mod strategies;
 mod zones;
 

@@ -189,25 +189,10 @@ pub fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
     }
 }
 
-/// The stages may run in other folders, and read the paths as text.
 fn make_paths_absolute(config: &mut Config) -> anyhow::Result<()> {
-    for path in [
-        &mut config.acquisition.simulate.profile,
-        &mut config.acquisition.replay.path,
-        &mut config.inference.model,
-        &mut config.inference.rest_move_model,
-        &mut config.inference.runtime_library,
-    ]
-    .into_iter()
-    .flatten()
-    {
+    for path in config.files_mut() {
         *path = std::path::absolute(&path)
             .with_context(|| format!("cannot make {} an absolute path", path.display()))?;
-        ensure!(
-            path.to_str().is_some(),
-            "{}: this path is not UTF-8, as paths in a configuration must be: rename it",
-            path.display()
-        );
     }
     Ok(())
 }

@@ -4,20 +4,16 @@
 //! options ─▶ lock ─▶ check ─▶ Watch ─▶ turn, show, turn, show, … ─▶ stop ─▶ table, JSON, log, figures
 //! ```
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::Path;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use anyhow::Context;
-use serde::Serialize;
 use tendon_config::{Backend, Config, Source};
-use tendon_figures::latency_figure;
 use tendon_messages::{Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
 use tendon_observer::{Observer, State};
 use tendon_process::{Order, Ready};
-use tendon_report::{Report, SessionFacts, SessionMeasurements, write_latency_log};
+use tendon_provenance::Provenance;
+use tendon_report::{Report, SessionFacts};
 use tendon_session::{
     Keyboard, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, stop_on_signals,
 };
@@ -27,7 +23,8 @@ use tendon_zones::TaskRun;
 use crate::arm_mark::ArmMark;
 use crate::options::Options;
 use crate::screen::{GESTURE_KEYS, KEYS, live_line};
-use crate::{Failure, TERMINAL_TIMEOUT, checks, zones};
+use crate::session_outputs::SessionOutputs;
+use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, zones};
 
 /// Longest time between two looks at what the stages say. Their messages do not wait for it, but the heartbeat does.
 const TICK: Duration = Duration::from_millis(50);
@@ -37,6 +34,9 @@ const TASK_TICK: Duration = Duration::from_millis(20);
 /// Runs a session.
 pub fn run(options: &Options) -> Result<(), Failure> {
     let config = options.configuration().map_err(Failure::input)?;
+    let Options { json, latency_log, figures, .. } = options;
+    let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())?;
+    let provenance = provenance::of_session(&config).map_err(Failure::input)?;
     let output = Writer::standard_output().map_err(Failure::running)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
@@ -45,7 +45,7 @@ pub fn run(options: &Options) -> Result<(), Failure> {
     let terminal = Terminal { output, errors };
     let result = checks::shared_memory(&config)
         .map_err(Failure::input)
-        .and_then(|_| run_locked(options, &config, &terminal));
+        .and_then(|_| run_locked(options, &config, &outputs, provenance, &terminal));
     Leftovers::remove(&lock, &config.session);
     // What is said of the end comes after all else, if the terminal takes it.
     let _ = terminal.errors.finish(TERMINAL_TIMEOUT);
@@ -62,7 +62,13 @@ struct Terminal {
     errors: Writer,
 }
 
-fn run_locked(options: &Options, config: &Config, terminal: &Terminal) -> Result<(), Failure> {
+fn run_locked(
+    options: &Options,
+    config: &Config,
+    outputs: &SessionOutputs,
+    provenance: Provenance,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
     let robot = RobotLine::default();
     let (sender, events) = channel();
     stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
@@ -98,7 +104,11 @@ fn run_locked(options: &Options, config: &Config, terminal: &Terminal) -> Result
     drop(keyboard);
     terminal.errors.end_live();
     let written = if watch.has_begun() {
-        write(options, config, &watch, usage, task.as_ref(), terminal)
+        let measurements = watch.observer().measurements();
+        let facts = SessionFacts { provenance, ..facts(config, &watch, usage, task.as_ref()) };
+        let report = Report::new(facts, measurements);
+        terminal.output.say(report.table().to_string());
+        outputs.write(&report, measurements, task.as_ref())
     } else {
         Ok(())
     };
@@ -204,56 +214,6 @@ fn left_in_good_order(watch: &Watch<'_>, was_stopped: bool) -> bool {
     watch.robot_obeyed() && !is_stopped
 }
 
-/// Prints the report and writes what was asked for, each whatever becomes of the others.
-fn write(
-    options: &Options,
-    config: &Config,
-    watch: &Watch<'_>,
-    usage: Usage,
-    task: Option<&TaskRun>,
-    terminal: &Terminal,
-) -> anyhow::Result<()> {
-    let measurements = watch.observer().measurements();
-    let duration = usage.duration;
-    let report = Report::new(facts(config, watch, usage, task), measurements);
-    terminal.output.say(report.table().to_string());
-    let json = options.json.as_deref().map(|path| write_json(path, &report));
-    let log = options.latency_log.as_deref().map(|path| write_log(path, measurements, duration));
-    let figures = options.figures.as_deref().map(|folder| {
-        write_figures(folder, measurements)?;
-        task.map_or(Ok(()), |task| zones::write_figures(folder, task))
-    });
-    [json, log, figures].into_iter().flatten().collect()
-}
-
-fn write_figures(folder: &Path, gathered: &SessionMeasurements) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    let histograms = [
-        ("newest-sample-to-command", "newest sample to command", &gathered.newest_sample_to_command),
-        ("window-start-to-command", "window start to command", &gathered.window_start_to_command.histogram),
-    ];
-    for (name, title, histogram) in histograms {
-        for ending in ["png", "svg"] {
-            latency_figure(&folder.join(format!("{name}.{ending}")), title, histogram)?;
-        }
-    }
-    Ok(())
-}
-
-fn write_log(path: &Path, measurements: &SessionMeasurements, length: Duration) -> anyhow::Result<()> {
-    let failed = || format!("cannot write {}", path.display());
-    let mut file = BufWriter::new(File::create(path).with_context(failed)?);
-    write_latency_log(measurements, length, &mut file).with_context(failed)?;
-    file.flush().with_context(failed)
-}
-
-/// Writes what a `--json FILE` asks for.
-pub fn write_json(path: &Path, content: &impl Serialize) -> anyhow::Result<()> {
-    let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-    serde_json::to_writer_pretty(file, content).with_context(|| format!("cannot write {}", path.display()))
-}
-
 /// What the session knows of itself.
 fn facts(config: &Config, watch: &Watch<'_>, usage: Usage, task: Option<&TaskRun>) -> SessionFacts {
     let Config { acquisition, decision, robot, .. } = config;
@@ -269,6 +229,7 @@ fn facts(config: &Config, watch: &Watch<'_>, usage: Usage, task: Option<&TaskRun
         source: match acquisition.source {
             Source::Simulate => "simulate".to_owned(),
             Source::Replay => "replay".to_owned(),
+            Source::Device => "device".to_owned(),
         },
         robot: match robot.backend {
             Backend::Simulate => "simulate".to_owned(),

@@ -9,6 +9,7 @@
 
 mod contract;
 mod locate;
+mod metadata;
 mod recogniser;
 mod run;
 
@@ -19,10 +20,12 @@ use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::ValueType;
+use tendon_gesture::Class;
 
 pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
-pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, Recogniser, default_model_file};
+pub use metadata::people_trained;
+pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, default_model_file};
 
 use run::{RunError, Runner};
 
@@ -128,14 +131,12 @@ impl Classifier {
         };
         let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
         let shape = input_shape(&contract);
-        let mut runner = Runner::new(session, [&input, &output], &shape, contract.classes.len())
+        let runner = Runner::new(session, [&input, &output], &shape, contract.classes.len())
             .map_err(|error| model_error(&error))?;
         let silence = vec![0.0; shape.iter().product::<i64>() as usize];
-        let outputs = runner.run(&silence).map_err(|error| model_error(&error))?;
-        if !are_probabilities(outputs) {
-            return Err(contract_error(ContractProblem::NoProbabilities { outputs: outputs.to_vec() }));
-        }
-        Ok(Classifier { path: model.to_owned(), contract, runner })
+        let mut classifier = Classifier { path: model.to_owned(), contract, runner };
+        classifier.classify(&silence)?;
+        Ok(classifier)
     }
 
     /// The model's file.
@@ -168,9 +169,20 @@ impl Classifier {
     ///
     /// # Errors
     ///
-    /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails.
+    /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails;
+    /// [`ClassifierError::Contract`] if the outputs are no probabilities.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
-        self.runner.run(window).map_err(ClassifierError::from)
+        self.probabilities(window).map(|(_, probabilities)| probabilities)
+    }
+
+    /// As [`Classifier::classify`], beside the classes.
+    fn probabilities(&mut self, window: &[f32]) -> Result<(&[Class], &[f32]), ClassifierError> {
+        let outputs = self.runner.run(window)?;
+        if !are_probabilities(outputs) {
+            let problem = ContractProblem::NoProbabilities { outputs: outputs.to_vec() };
+            return Err(ClassifierError::Contract { path: self.path.clone(), problem });
+        }
+        Ok((&self.contract.classes, outputs))
     }
 }
 

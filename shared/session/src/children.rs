@@ -115,6 +115,8 @@ impl SealedConfig {
 pub struct Children {
     /// Where the programs lie.
     folder: PathBuf,
+    /// The program that acquires, if it is not the one there.
+    acquisition: Option<PathBuf>,
     config: SealedConfig,
     events: Sender<Event>,
     robot: RobotLine,
@@ -140,8 +142,8 @@ impl Running {
 }
 
 impl Children {
-    /// Starts all stages, which lie beside this program, on this configuration. What they say comes as `events`, what
-    /// they write to standard error goes to `standard_error`. With `arm_stays` the robot is started as after the end of
+    /// Starts all stages, which lie beside this program, on this configuration; instead of the acquisition there, the
+    /// program that the configuration names. What they say comes as `events`, what they write to standard error goes to `standard_error`. With `arm_stays` the robot is started as after the end of
     /// another.
     ///
     /// # Errors
@@ -158,6 +160,7 @@ impl Children {
         let folder = program.parent().map(ToOwned::to_owned).unwrap_or_default();
         let mut children = Children {
             folder,
+            acquisition: config.acquisition.program.clone(),
             config: SealedConfig::new(&config.to_toml()).map_err(ChildrenError::Configuration)?,
             events: events.clone(),
             robot: robot.clone(),
@@ -181,7 +184,10 @@ impl Children {
     }
 
     fn start_stage(&mut self, stage: Stage, is_restarted: bool) -> Result<(), ChildrenError> {
-        let program = self.folder.join(format!("tendon-{}", stage.name()));
+        let program = match (&self.acquisition, stage) {
+            (Some(program), Stage::Acquisition) => program.clone(),
+            _ => self.folder.join(format!("tendon-{}", stage.name())),
+        };
         let mut process = Command::new(&program)
             .arg("--config")
             .arg(self.config.path())
