@@ -5,7 +5,7 @@
 //!             └─ metadata: channels, rate, window, filter, classes  =  Contract
 //! ```
 //!
-//! A model is refused before its first window if its [`Contract`] does not fit what the session delivers.
+//! A model whose [`Contract`] does not fit the session is refused before its first window.
 
 mod contract;
 mod locate;
@@ -43,7 +43,7 @@ pub enum ClassifierError {
     RuntimeLibrary {
         /// The library.
         path: PathBuf,
-        /// ort's own word.
+        /// The message of ort.
         reason: String,
     },
     /// No model was found.
@@ -60,7 +60,7 @@ pub enum ClassifierError {
         /// ONNX Runtime's own word.
         reason: String,
     },
-    /// The model says nothing, or nothing sensible, about what it was trained for.
+    /// The metadata do not say, or not sensibly, what the model was trained for.
     #[error("{}: {problem}; export it with models/training/train.py, which writes the metadata", path.display())]
     Contract {
         /// The model.
@@ -90,7 +90,8 @@ impl From<RunError> for ClassifierError {
     }
 }
 
-/// A loaded model, ready to classify windows one by one. Once warm, classifying allocates nothing on our side.
+/// A loaded model, ready to classify windows one by one. Once warm, classifying allocates nothing outside of
+/// ONNX Runtime.
 #[derive(Debug)]
 pub struct Classifier {
     path: PathBuf,
@@ -147,7 +148,7 @@ impl Classifier {
         &self.contract
     }
 
-    /// Makes sure that the model was trained for what delivers its windows.
+    /// Checks that the model was trained for this source of windows.
     ///
     /// # Errors
     ///
@@ -161,14 +162,13 @@ impl Classifier {
         Err(ClassifierError::Unfit { path: self.path.clone(), differences: differences.join("; ") })
     }
 
-    /// Classifies one window, channel-major `[channels × samples]`, or one sequence `[windows × channels ×
-    /// samples]` if the model is of such, which is read in place. Returns the probability of every class of the
-    /// contract, in its order.
+    /// Classifies one window, channel-major `[channels × samples]`, or, for a model of sequences, one
+    /// sequence `[windows × channels × samples]`. It is read in place. Returns the probability of every class
+    /// of the contract, in its order.
     ///
     /// # Errors
     ///
-    /// [`ClassifierError::Run`] when the window has another length than the contract says, or ONNX Runtime
-    /// fails.
+    /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
         self.runner.run(window).map_err(ClassifierError::from)
     }
@@ -227,7 +227,7 @@ fn input_shape(contract: &Contract) -> Vec<i64> {
     [1].into_iter().chain(windows).chain([channels, window_samples]).map(|size| size as i64).collect()
 }
 
-/// ONNX Runtime's messages come with line breaks; an error of ours is one sentence.
+/// ONNX Runtime's messages contain line breaks; our errors are one sentence.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

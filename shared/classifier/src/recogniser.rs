@@ -89,7 +89,7 @@ impl Recogniser {
         Ok(Recogniser { gestures, rest_move, probabilities: [0.0; Gesture::COUNT] })
     }
 
-    /// Makes sure that each model fits what delivers the windows.
+    /// Checks that each model fits the source of the windows.
     ///
     /// # Errors
     ///
@@ -99,20 +99,21 @@ impl Recogniser {
         self.rest_move.as_ref().map_or(Ok(()), |rest_move| rest_move.classifier.check_fit(source))
     }
 
-    /// The files of the models, in the order in which they are asked.
+    /// The files of the models, in the order in which they run.
     pub fn models(&self) -> Vec<&Path> {
         let rest_move = self.rest_move.iter().map(|rest_move| rest_move.classifier.path());
         rest_move.chain([self.gestures.path()]).collect()
     }
 
-    /// Numbers of the people whom the models were trained on, as far as they say so.
+    /// Numbers of the people the models were trained on, as far as their metadata say.
     pub fn people_trained(&self) -> Vec<u16> {
         let rest_move = self.rest_move.iter().map(|rest_move| &rest_move.classifier);
         rest_move.chain([&self.gestures]).flat_map(|model| model.contract().people_trained.clone()).collect()
     }
 
-    /// The probability of every gesture by class number, 0 for those that the model does not know. Of the two
-    /// stages, that of the first if it says rest, else those of the second. The window is read in place.
+    /// The probability of every gesture by class number, 0 for those that the model does not know. With two
+    /// stages, the probability of the first if it says rest, otherwise those of the second. The window is
+    /// read in place.
     ///
     /// # Errors
     ///
@@ -122,7 +123,7 @@ impl Recogniser {
         if let Some(rest_move) = &mut self.rest_move {
             let outputs = rest_move.classifier.classify(window)?;
             let (rest, movement) = (outputs[rest_move.rest], outputs[1 - rest_move.rest]);
-            // Of equals, rest: an arm that waits does less harm. So does one whose model gives no number.
+            // Rest if both are equal, or if the model returns NaN: an arm that waits does less harm.
             let moves = movement > rest;
             if !moves {
                 self.probabilities[Gesture::Rest.index()] = rest;
@@ -141,7 +142,7 @@ impl Recogniser {
         Ok(&self.probabilities)
     }
 
-    /// Runs every model on `window`, whatever it shows: what a rehearsal needs.
+    /// Runs every model on `window`, whatever it contains, as a rehearsal needs.
     ///
     /// # Errors
     ///
