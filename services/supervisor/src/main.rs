@@ -19,9 +19,11 @@ mod order;
 mod output;
 mod profile;
 mod progress;
+mod provenance;
 mod resources;
 mod run;
 mod screen;
+mod session_outputs;
 mod strategies;
 mod zones;
 

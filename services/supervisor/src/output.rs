@@ -1,9 +1,14 @@
-//! What commands print: on standard output, which may be closed or full, and on standard error.
+//! What commands print, on standard output, which may be closed or full, and on standard error; and the files they are
+//! asked to write.
 
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::path::Path;
 
 use anyhow::Context;
+use tendon_output::OutputFile;
+
+use crate::Failure;
 
 /// Prints a line, or several, to standard output. Whoever reads it may stop doing so (`tendon evaluate … | head`):
 /// that is no fault, and the rest is not printed.
@@ -22,4 +27,18 @@ pub fn print(text: impl Display) -> anyhow::Result<()> {
 /// Says something to the person who waits, on standard error; where that is closed, to nobody.
 pub fn tell(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Checks, before a command starts, a file that it is to write in the end, and says so if one is there that it will
+/// replace.
+///
+/// # Errors
+///
+/// When it could not be written.
+pub fn checked(path: Option<&Path>) -> Result<Option<OutputFile>, Failure> {
+    let file = path.map(OutputFile::check).transpose().map_err(Failure::input)?;
+    if let Some(file) = file.iter().find(|file| file.replaces()) {
+        tell(format_args!("{} is there already and will be replaced", file.path().display()));
+    }
+    Ok(file)
 }

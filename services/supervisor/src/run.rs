@@ -1,19 +1,16 @@
 //! `tendon run`: one session from start to report.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use clap::Args;
-use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tendon_config::{Backend, Config, Gestures, Pace, Realtime, Source};
-use tendon_figures::latency_figure;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, Permission, STATE_LENGTH, STATES, Stage, StateHeader,
@@ -21,7 +18,8 @@ use tendon_messages::{
 };
 use tendon_observer::Observer;
 use tendon_process::{BATCH_LENGTH, Order, Ready};
-use tendon_report::{Report, SessionFacts, SessionMeasurements, write_latency_log};
+use tendon_provenance::Provenance;
+use tendon_report::{Report, SessionFacts};
 use tendon_transport::{
     Delivery, Leftovers, SessionLock, SessionName, required_bytes, shared_memory_directory,
 };
@@ -30,9 +28,9 @@ use tendon_zones::{TaskKind, TaskRun};
 use crate::Failure;
 use crate::arm_mark::ArmMark;
 use crate::children::{Children, Event};
-use crate::resources;
 use crate::screen::{GESTURE_KEYS, KEYS, Keyboard, Screen, live_line};
-use crate::zones;
+use crate::session_outputs::SessionOutputs;
+use crate::{provenance, resources, zones};
 
 /// Time between two looks at what the stages say. Their messages do not wait for it.
 const TICK: Duration = Duration::from_millis(100);
@@ -243,11 +241,15 @@ fn tell(text: &str) {
 /// Runs a session.
 pub fn run(options: &Options) -> Result<(), Failure> {
     let config = options.configuration().map_err(Failure::input)?;
+    let Options { json, latency_log, figures, .. } = options;
+    let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())?;
+    let provenance = provenance::of_session(&config).map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
     Leftovers::remove(&lock, &config.session);
-    let result =
-        check_shared_memory(&config).map_err(Failure::input).and_then(|()| run_locked(options, &config));
+    let result = check_shared_memory(&config)
+        .map_err(Failure::input)
+        .and_then(|()| run_locked(options, &config, &outputs, provenance));
     Leftovers::remove(&lock, &config.session);
     result
 }
@@ -282,7 +284,12 @@ pub fn free_bytes(folder: &Path) -> anyhow::Result<u64> {
     Ok(status.blocks_available() * status.fragment_size())
 }
 
-fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
+fn run_locked(
+    options: &Options,
+    config: &Config,
+    outputs: &SessionOutputs,
+    provenance: Provenance,
+) -> Result<(), Failure> {
     let (sender, events) = channel();
     stop_on_signals(&sender).map_err(Failure::running)?;
     let observer = Observer::before_the_stages(&config.session, "supervisor").map_err(Failure::input)?;
@@ -309,6 +316,7 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     let children = Children::start(config, &sender, arm_stays).map_err(Failure::input)?;
     let mut watch = Watch {
         config,
+        provenance,
         events,
         children,
         observer,
@@ -318,38 +326,11 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
         has_begun: false,
         robot_obeyed: false,
     };
-    let result = watch.session(options, keyboard);
+    let result = watch.session(options, outputs, keyboard);
     if let Some(mark) = mark.filter(|_| watch.left_in_good_order(arm_stays)) {
         mark.remove().map_err(Failure::running)?;
     }
     result
-}
-
-fn write_figures(folder: &Path, gathered: &SessionMeasurements) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    let histograms = [
-        ("newest-sample-to-command", "newest sample to command", &gathered.newest_sample_to_command),
-        ("window-start-to-command", "window start to command", &gathered.window_start_to_command.histogram),
-    ];
-    for (name, title, histogram) in histograms {
-        for ending in ["png", "svg"] {
-            latency_figure(&folder.join(format!("{name}.{ending}")), title, histogram)?;
-        }
-    }
-    Ok(())
-}
-
-fn write_log(path: &Path, measurements: &SessionMeasurements, length: Duration) -> anyhow::Result<()> {
-    let failed = || format!("cannot write {}", path.display());
-    let mut file = BufWriter::new(File::create(path).with_context(failed)?);
-    write_latency_log(measurements, length, &mut file).with_context(failed)
-}
-
-/// Writes what a `--json FILE` asks for.
-pub fn write_json(path: &Path, content: &impl Serialize) -> anyhow::Result<()> {
-    let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-    serde_json::to_writer_pretty(file, content).with_context(|| format!("cannot write {}", path.display()))
 }
 
 fn stop_on_signals(events: &Sender<Event>) -> anyhow::Result<()> {
@@ -381,6 +362,7 @@ fn gather(observer: &mut Observer, task: &mut Option<TaskRun>) -> anyhow::Result
 /// A running session as the supervisor sees it.
 struct Watch<'a> {
     config: &'a Config,
+    provenance: Provenance,
     events: Receiver<Event>,
     children: Children,
     observer: Observer,
@@ -412,7 +394,12 @@ struct Restart {
 
 impl Watch<'_> {
     /// The session, from the wait for its stages to the report. In the end no stage runs.
-    fn session(&mut self, options: &Options, keyboard: Option<Keyboard>) -> Result<(), Failure> {
+    fn session(
+        &mut self,
+        options: &Options,
+        outputs: &SessionOutputs,
+        keyboard: Option<Keyboard>,
+    ) -> Result<(), Failure> {
         let ready = self.wait_until_ready();
         let Ok(Some(mut started)) = ready else {
             let stopped = self.stop_stages().map_err(Failure::running);
@@ -427,27 +414,14 @@ impl Watch<'_> {
             println!("  {KEYS}");
         }
         let watched = self.until_the_end(&mut started, options.duration);
-        let report = self.stop_and_report(&started, options.latency_log.as_deref());
+        let (report, stopped) = self.stop_and_report(&started);
         drop(keyboard);
         self.screen.finish();
-        let written = report.and_then(|report| self.write(options, &report)).map_err(Failure::running);
+        // Nobody may read the table any more, which is no fault; the files are there all the same.
+        let written = outputs.write(&report, self.observer.measurements(), self.task.as_ref());
+        let _ = writeln!(std::io::stdout(), "{}", report.table());
         // What ended the session says more than what came of that.
-        watched.and(written)
-    }
-
-    /// Prints the report and writes what was asked for.
-    fn write(&self, options: &Options, report: &Report) -> anyhow::Result<()> {
-        println!("{}", report.table());
-        if let Some(folder) = &options.figures {
-            write_figures(folder, self.observer.measurements())?;
-            if let Some(task) = &self.task {
-                zones::write_figures(folder, task)?;
-            }
-        }
-        match &options.json {
-            Some(path) => write_json(path, report),
-            None => Ok(()),
-        }
+        watched.and(stopped.map_err(Failure::running)).and(written.map_err(Failure::running))
     }
 
     /// Whether the arm was left free to move, or as it was found if it was never reached. `was_stopped`: it was found
@@ -654,8 +628,8 @@ impl Watch<'_> {
         }
     }
 
-    /// Stops all stages, robot first, and says what was measured.
-    fn stop_and_report(&mut self, started: &Started, log: Option<&Path>) -> anyhow::Result<Report> {
+    /// Stops all stages, robot first, and says what was measured, also when something went wrong on the way.
+    fn stop_and_report(&mut self, started: &Started) -> (Report, anyhow::Result<()>) {
         let duration = started.at.elapsed();
         let mut cpu_s = BTreeMap::new();
         let mut memory_mb = BTreeMap::new();
@@ -673,14 +647,11 @@ impl Watch<'_> {
             cpu_s.insert("supervisor".to_owned(), seconds - started.own_cpu_s);
             memory_mb.insert("supervisor".to_owned(), megabytes);
         }
-        gather(&mut self.observer, &mut self.task)?;
+        let gathered = gather(&mut self.observer, &mut self.task);
         self.observer.ending();
-        self.stop_stages()?;
-        if let Some(path) = log {
-            write_log(path, self.observer.measurements(), duration)?;
-        }
+        let stopped = self.stop_stages();
         let facts = SessionFacts { duration, cpu_s, memory_mb, ..self.facts(started) };
-        Ok(Report::new(facts, self.observer.measurements()))
+        (Report::new(facts, self.observer.measurements()), stopped.and(gathered))
     }
 
     /// What the session knows of itself, but for how long it took and what it used.
@@ -711,6 +682,7 @@ impl Watch<'_> {
                 .map_or([0.0; 3], |state| state.position_mm().map(f64::from)),
             restarts: self.restarts.len() as u64,
             task: self.task.as_ref().and_then(|task| task.report(self.observer.states_lost())),
+            provenance: self.provenance.clone(),
             ..SessionFacts::default()
         }
     }

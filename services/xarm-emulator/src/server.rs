@@ -2,7 +2,7 @@
 
 use std::io::{Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -73,6 +73,7 @@ struct Shared {
     started: Instant,
     model: Mutex<Model>,
     reply_faults: Mutex<ReplyFaults>,
+    gripper_requests: AtomicU64,
     connections: Mutex<Vec<TcpStream>>,
     ended: AtomicBool,
 }
@@ -100,6 +101,7 @@ impl Emulator {
             started: Instant::now(),
             model: Mutex::new(Model::new(properties, 0)),
             reply_faults: Mutex::default(),
+            gripper_requests: AtomicU64::new(0),
             connections: Mutex::default(),
             ended: AtomicBool::new(false),
         });
@@ -152,6 +154,11 @@ impl Emulator {
             | Fault::Garbage(_)
             | Fault::Silent(_) => lock(&self.shared.reply_faults).add(fault),
         }
+    }
+
+    /// How many requests came for the gripper.
+    pub fn gripper_requests(&self) -> u64 {
+        self.shared.gripper_requests.load(Ordering::SeqCst)
     }
 
     /// A copy of the arm as it is now.
@@ -254,6 +261,7 @@ impl Shared {
             let mut input = &buffer[..length];
             while let Some(frame) = decoder.next_frame(&mut input) {
                 let is_for_gripper = frame.body.first() == Some(&register::GRIPPER);
+                self.gripper_requests.fetch_add(is_for_gripper.into(), Ordering::SeqCst);
                 reply.clear();
                 answer(&mut self.model(), &frame, &mut reply);
                 if reply.is_empty() {

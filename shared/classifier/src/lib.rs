@@ -9,6 +9,7 @@
 
 mod contract;
 mod locate;
+mod metadata;
 mod recogniser;
 mod run;
 
@@ -22,7 +23,8 @@ use ort::value::ValueType;
 
 pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
-pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, Recogniser, default_model_file};
+pub use metadata::people_trained;
+pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, default_model_file};
 
 use run::{RunError, Runner};
 

@@ -137,7 +137,8 @@ impl Whole {
     fn new() -> Whole {
         let temporary = tempfile::tempdir().unwrap();
         write_three_dc(&temporary.path().join("recordings"), &[1, 2, 3]);
-        let building = BuildSettings { test_people: vec![2], threads: 2, seed: 5 };
+        let building =
+            BuildSettings { test_people: vec![2], threads: 2, seed: 5, ..BuildSettings::default() };
         let out = temporary.path().join("whole");
         build(&settings(), &building, &temporary.path().join("recordings"), &out).unwrap();
         Whole { building, contents: contents(&out), temporary }
