@@ -96,6 +96,8 @@ impl SealedConfig {
 pub struct Children {
     /// Where the programs lie.
     folder: PathBuf,
+    /// The program that acquires, if it is not the one there.
+    acquisition: Option<PathBuf>,
     config: SealedConfig,
     events: Sender<Event>,
     running: Vec<Running>,
@@ -109,13 +111,14 @@ struct Running {
 }
 
 impl Children {
-    /// Starts all stages, which lie beside this program, on this configuration. What they say
-    /// comes as `events`. With `arm_stays` the robot is started as after the end of another.
+    /// Starts all stages, which lie beside this program, on this configuration; instead of the acquisition there, the
+    /// program that the configuration names. What they say comes as `events`. With `arm_stays` the robot is started as after the end of another.
     pub fn start(config: &Config, events: &Sender<Event>, arm_stays: bool) -> anyhow::Result<Children> {
         let program = std::env::current_exe().context("cannot find this program's own folder")?;
         let folder = program.parent().context("this program is in no folder")?;
         let mut children = Children {
             folder: folder.to_owned(),
+            acquisition: config.acquisition.program.clone(),
             config: SealedConfig::new(&config.to_toml())?,
             events: events.clone(),
             running: Vec::new(),
@@ -132,7 +135,10 @@ impl Children {
     }
 
     fn start_stage(&mut self, stage: Stage, is_restarted: bool) -> anyhow::Result<()> {
-        let path = self.folder.join(format!("tendon-{}", stage.name()));
+        let path = match (&self.acquisition, stage) {
+            (Some(program), Stage::Acquisition) => program.clone(),
+            _ => self.folder.join(format!("tendon-{}", stage.name())),
+        };
         let mut process = Command::new(&path)
             .arg("--config")
             .arg(self.config.path())

@@ -203,16 +203,7 @@ impl Options {
                 "--task is for the arm's own time: leave --pace full away"
             );
         }
-        for path in [
-            &mut config.acquisition.simulate.profile,
-            &mut config.acquisition.replay.path,
-            &mut config.inference.model,
-            &mut config.inference.rest_move_model,
-            &mut config.inference.runtime_library,
-        ]
-        .into_iter()
-        .flatten()
-        {
+        for path in config.files_mut() {
             *path = std::path::absolute(&path)
                 .with_context(|| format!("cannot make {} an absolute path", path.display()))?;
         }
@@ -666,6 +657,7 @@ impl Watch<'_> {
             source: match acquisition.source {
                 Source::Simulate => "simulate".to_owned(),
                 Source::Replay => "replay".to_owned(),
+                Source::Device => "device".to_owned(),
             },
             robot: match robot.backend {
                 Backend::Simulate => "simulate".to_owned(),

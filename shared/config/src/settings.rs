@@ -60,6 +60,8 @@ pub enum Source {
     Simulate,
     /// A recording.
     Replay,
+    /// A device, which the program `acquisition.program` reads.
+    Device,
 }
 
 /// Settings of the acquisition stage.
@@ -68,6 +70,8 @@ pub enum Source {
 pub struct AcquisitionSettings {
     /// Where samples come from.
     pub source: Source,
+    /// The program that acquires; when left out, the one that comes with Tendon, for the simulated DAQ and recordings.
+    pub program: Option<PathBuf>,
     /// Number of channels.
     pub channels: usize,
     /// Sampling rate of the session in Hz; a recording of another rate is resampled.
@@ -84,6 +88,7 @@ impl Default for AcquisitionSettings {
     fn default() -> Self {
         AcquisitionSettings {
             source: Source::Simulate,
+            program: None,
             channels: 4,
             sample_rate_hz: 2000.0,
             block_samples: 10,
