@@ -181,3 +181,13 @@ fn real_time_scheduling_is_had_or_refused() {
         ended.assert_failed(2, &["scheduling.realtime = \"on\"", "was refused", "or use --realtime auto"]);
     }
 }
+
+#[test]
+fn a_path_that_is_not_utf_8() {
+    use std::os::unix::ffi::OsStrExt;
+    let odd = Path::new(std::ffi::OsStr::from_bytes(b"/tmp/m\xfcller/emg.csv"));
+    let parts = ["acquisition.replay.path", "not UTF-8", "rename"];
+    TendonBuilder::run(&unique_session()).arg("--replay").arg(odd).end().assert_failed(2, &parts);
+    let parts = ["inference.model", "not UTF-8", "rename"];
+    TendonBuilder::run_with_model(&unique_session(), odd).end().assert_failed(2, &parts);
+}

@@ -11,7 +11,7 @@ use tendon_output::OutputFile;
 use crate::Failure;
 
 /// Prints a line, or several, to standard output. Whoever reads it may stop doing so (`tendon evaluate … | head`):
-/// that is no fault, and the rest is not printed.
+/// that is not an error, and the rest is not printed.
 ///
 /// # Errors
 ///
@@ -24,7 +24,7 @@ pub fn print(text: impl Display) -> anyhow::Result<()> {
     }
 }
 
-/// Says something to the person who waits, on standard error; where that is closed, to nobody.
+/// Tells the person who waits something, on standard error; without one, nothing happens.
 pub fn tell(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");
 }

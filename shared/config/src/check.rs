@@ -32,6 +32,7 @@ impl Config {
     ///
     /// [`ConfigError::Value`] or [`ConfigError::Section`] for the first that does not.
     pub fn check(&self) -> Result<(), ConfigError> {
+        self.check_paths()?;
         self.check_samples()?;
         self.check_simulation()?;
         self.check_source()?;
@@ -43,6 +44,24 @@ impl Config {
         self.check_arm_on_the_network()?;
         self.robot.arm.check().map_err(section("robot.arm"))?;
         self.task.check().map_err(section("task"))
+    }
+
+    /// Refuses paths that no `tendon.toml` can hold.
+    pub(crate) fn check_paths(&self) -> Result<(), ConfigError> {
+        for (key, path) in [
+            ("acquisition.simulate.profile", &self.acquisition.simulate.profile),
+            ("acquisition.replay.path", &self.acquisition.replay.path),
+            ("inference.model", &self.inference.model),
+            ("inference.rest_move_model", &self.inference.rest_move_model),
+            ("inference.runtime_library", &self.inference.runtime_library),
+        ] {
+            if let Some(path) = path.as_ref().filter(|path| path.to_str().is_none()) {
+                let remedy =
+                    "the path is not UTF-8, which a configuration cannot hold: rename the file or folder";
+                return refuse(key, path.display(), remedy);
+            }
+        }
+        Ok(())
     }
 
     fn check_samples(&self) -> Result<(), ConfigError> {

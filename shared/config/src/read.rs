@@ -18,6 +18,7 @@ impl Config {
         for file in config.files_mut() {
             *file = folder.join(&file);
         }
+        config.check_paths()?;
         Ok(config)
     }
 
@@ -40,7 +41,8 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// [`ConfigError::Parse`] if the key does not exist or the value does not fit it.
+    /// [`ConfigError::Parse`] when there is no such key or the value does not fit it, [`ConfigError::Value`] when a path
+    /// is not UTF-8.
     pub fn with(&self, assignment: &str) -> Result<Config, ConfigError> {
         let origin = PathBuf::from(format!("--set {assignment}"));
         let no_assignment = || ConfigError::Parse {
@@ -54,8 +56,8 @@ impl Config {
             .ok()
             .and_then(|mut table| table.remove("value"))
             .unwrap_or_else(|| toml::Value::String(value.to_owned()));
-        let mut root =
-            toml::Table::try_from(self).expect("a configuration has only what TOML can say: tested");
+        self.check_paths()?;
+        let mut root = toml::Table::try_from(self).expect("paths are UTF-8, all else TOML can say: tested");
         let mut table = &mut root;
         let mut keys = key.trim().split('.').peekable();
         while let Some(key) = keys.next() {
@@ -85,8 +87,12 @@ impl Config {
     }
 
     /// The configuration as the text of a `tendon.toml`.
+    ///
+    /// # Panics
+    ///
+    /// When a path is not UTF-8, which [`Config::check`] refuses.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("a configuration has only what TOML can say: tested")
+        toml::to_string(self).expect("paths are UTF-8: checked; all else TOML can say: tested")
     }
 }
 
@@ -207,6 +213,28 @@ mod tests {
             let error = config.with(assignment).unwrap_err().to_string();
             assert!(error.contains(expected) && error.contains(assignment), "{error}");
         }
+    }
+
+    #[test]
+    fn a_path_that_is_not_utf_8_is_refused_and_makes_nothing_panic() {
+        use std::os::unix::ffi::OsStrExt;
+        let odd = Path::new(std::ffi::OsStr::from_bytes(b"m\xfcller"));
+        let mut config = Config::default();
+        config.acquisition.replay.path = Some(odd.join("emg.csv"));
+        for refused in [config.check(), config.with("session=other").map(drop)] {
+            let message = refused.unwrap_err().to_string();
+            assert!(
+                message.starts_with("acquisition.replay.path = ") && message.contains("rename"),
+                "{message}"
+            );
+        }
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join(odd)).unwrap();
+        let path = folder.path().join(odd).join("tendon.toml");
+        std::fs::write(&path, "[inference]\nmodel = \"x.onnx\"\n").unwrap();
+        assert!(Config::read(&path).unwrap_err().to_string().contains("inference.model = "));
+        std::fs::write(&path, "[inference]\nmodel = \"/x.onnx\"\n").unwrap();
+        Config::read(&path).unwrap();
     }
 
     #[test]
