@@ -9,10 +9,11 @@
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use nix::fcntl::{FcntlArg, FdFlag, OFlag, fcntl};
 use nix::sys::signal::{Signal, kill};
 use nix::sys::termios::{FlowArg, tcflow};
 use nix::unistd::Pid;
@@ -34,6 +35,20 @@ struct Moving {
     session: SessionName,
     process: Child,
     folder: TempDir,
+    _state_home: TempDir,
+}
+
+/// Writes the record with which a session starts to move the arm by itself.
+fn leave_in_good_order(emulator: &Emulator, state_home: &Path) {
+    let Listen { address, control_port, .. } = emulator.listen;
+    let address = address.to_string().replace('.', "-");
+    let model = emulator.model();
+    let serial_number = model.properties().serial_number.clone();
+    let joints_rad = model.report().joints_rad.map(f64::from);
+    let folder = state_home.join("tendon/arms");
+    std::fs::create_dir_all(&folder).unwrap();
+    let record = format!("{{\"left_in_good_order_at_joints_rad\":{joints_rad:?}}}");
+    std::fs::write(folder.join(format!("{serial_number}-{address}-{control_port}.json")), record).unwrap();
 }
 
 impl Moving {
@@ -41,7 +56,10 @@ impl Moving {
         let emulator = Emulator::start(Listen::anywhere()).unwrap();
         let session = unique_session();
         let listen = emulator.listen;
+        let state_home = tempfile::tempdir().unwrap();
+        leave_in_good_order(&emulator, state_home.path());
         let mut builder = TendonBuilder::run_with_model(&session, &model("cnn-six-class"));
+        builder = builder.env("XDG_STATE_HOME", state_home.path());
         builder = builder.args(&["--strategy", "direct", "--script", "rest 1s, ulnar 60s"]);
         for setting in [
             "robot.backend=\"xarm\"".to_owned(),
@@ -56,7 +74,7 @@ impl Moving {
         let (mut command, folder) = builder.into_command(controlling_terminal);
         prepare(&mut command);
         let process = command.spawn().unwrap();
-        let moving = Moving { emulator, session, process, folder };
+        let moving = Moving { emulator, session, process, folder, _state_home: state_home };
         wait_until("full speed", || (moving.speed_mm_per_s() > 97.0).then_some(()));
         moving
     }
@@ -64,6 +82,10 @@ impl Moving {
     /// On a terminal of its own, which is returned: keys are written to the master.
     fn on_terminal() -> (Moving, File, OwnedFd) {
         let terminal = nix::pty::openpty(None, None).unwrap();
+        for end in [&terminal.master, &terminal.slave] {
+            // Or the session holds its own terminal open.
+            fcntl(end, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).unwrap();
+        }
         let slave = || Stdio::from(terminal.slave.try_clone().unwrap());
         let moving = Moving::start(|command| command.stdin(slave()).stdout(slave()).stderr(slave()), true);
         (moving, File::from(terminal.master), terminal.slave)

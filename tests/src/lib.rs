@@ -25,7 +25,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::unistd::{Gid, Pid, Uid, chown};
 use tempfile::TempDir;
 use tendon_report::Report;
 use tendon_transport::{Leftovers, SessionName};
@@ -136,10 +136,28 @@ impl TendonBuilder {
     }
 
     /// Gives it a terminal, as if it were started by a person there (setsid(1) makes it the controlling one).
-    pub fn controlled_by(mut self, terminal: std::os::fd::OwnedFd) -> TendonBuilder {
-        let mut command = Command::new("setsid");
-        command.arg("--ctty").arg(self.command.get_program()).args(self.command.get_args());
-        command.current_dir(self.folder.path()).stdin(terminal).stdout(Stdio::piped()).stderr(Stdio::piped());
+    pub fn controlled_by(self, terminal: std::os::fd::OwnedFd) -> TendonBuilder {
+        let mut builder = self.through("setsid", &["--ctty"]);
+        builder.command.stdin(terminal);
+        builder
+    }
+
+    /// Runs it as another user, whose home is the command's folder. Only root can.
+    pub fn as_user(self, user: u32) -> TendonBuilder {
+        let id = Uid::from_raw(user);
+        chown(self.folder.path(), Some(id), Some(Gid::from_raw(user))).unwrap();
+        let (user, home) = (user.to_string(), self.folder.path().to_owned());
+        let mut builder = self.through("setpriv", &["--reuid", &user, "--regid", &user, "--clear-groups"]);
+        builder.command.env("HOME", home).env_remove("XDG_RUNTIME_DIR").env_remove("XDG_STATE_HOME");
+        builder
+    }
+
+    /// The same command, started by another one.
+    fn through(mut self, program: &str, arguments: &[&str]) -> TendonBuilder {
+        let mut command = Command::new(program);
+        command.args(arguments).arg(self.command.get_program()).args(self.command.get_args());
+        command.current_dir(self.folder.path());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         for (name, value) in self.command.get_envs() {
             command.env(name, value.unwrap_or_default());
         }
