@@ -63,17 +63,22 @@ impl Seats {
     /// Whoever comes first makes the page. All zeros is a page without subscribers, so there is nothing to
     /// initialise. Its memory is reserved now, because touching what cannot be had later kills a process.
     fn open_page(path: &Path) -> io::Result<MmapRaw> {
-        let file = OpenOptions::new()
-            .create(true)
-            .truncate(false)
-            .read(true)
-            .write(true)
-            .mode(0o600)
-            .custom_flags(libc::O_NOFOLLOW)
-            .open(path)?;
-        check_owner(&file)?;
-        posix_fallocate(&file, 0, PAGE_SIZE)?;
-        MmapRaw::map_raw(&file)
+        loop {
+            let file = OpenOptions::new()
+                .create(true)
+                .truncate(false)
+                .read(true)
+                .write(true)
+                .mode(0o600)
+                .custom_flags(libc::O_NOFOLLOW)
+                .open(path)?;
+            check_owner(&file)?;
+            posix_fallocate(&file, 0, PAGE_SIZE)?;
+            // As long as it was empty somebody may have cleared it away. Others would then have another page.
+            if file.metadata()?.nlink() > 0 {
+                return MmapRaw::map_raw(&file);
+            }
+        }
     }
 
     fn seats(&self) -> impl Iterator<Item = &AtomicU64> {
