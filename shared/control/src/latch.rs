@@ -1,0 +1,173 @@
+//! Whether commands reach the arm.
+//!
+//! ```text
+//!                       windows that say rest
+//! start ──▶ await rest ─────────────────────────▶ granted
+//!              ▲    ▲ no commands, supervisor or arm silent, stall │
+//!     arm order│    └──────────────────────────────────────────────┤
+//!              │                                                   │ order, arm error, limit, end of a stage
+//! start ──▶ stopped ◀──────────────────────────────────────────────┘
+//! (not left in good order, or far from the start position)
+//! ```
+//!
+//! Whatever interrupted a motion, the arm does not move again before the person has been at rest: the muscles may
+//! still say what was meant before the interruption.
+
+use tendon_gesture::Gesture;
+use tendon_messages::{Activity, CommandHeader, Permission, StopReason};
+
+use crate::arm::Stop;
+
+/// Windows in a row that must say rest. One alone may be a mistake of the classifier, or the first of a signal chain
+/// that began anew and does not know better yet.
+pub(crate) const REST_WINDOWS: u32 = 3;
+
+/// The permission to move, and why there is none.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Latch {
+    permission: Permission,
+    stop: Option<Stop>,
+    /// Windows in a row that said rest.
+    rests: u32,
+    /// Whether rest is known only once the activity detector is calibrated.
+    needs_calibration: bool,
+}
+
+impl Latch {
+    /// At the start nothing moves before the person has been at rest. `needs_calibration`: that is known only once the
+    /// activity detector is calibrated.
+    pub fn new(needs_calibration: bool) -> Latch {
+        Latch { permission: Permission::AwaitRest, stop: None, rests: 0, needs_calibration }
+    }
+
+    /// Whether the arm may follow the command of a window. What grants motion again is rest: intact windows that were
+    /// recognised as such. What was voted would not do, as votes begin with rest.
+    pub fn admits(&mut self, header: &CommandHeader) -> bool {
+        let is_calibrating = Activity::from_number(header.context.activity) == Activity::Calibrating;
+        let is_rest = header.gesture == Gesture::Rest as u8
+            && header.context.replaced_samples == 0
+            && !(self.needs_calibration && is_calibrating);
+        self.rests = if is_rest { self.rests + 1 } else { 0 };
+        if self.permission == Permission::AwaitRest && self.rests >= REST_WINDOWS {
+            *self = Latch { permission: Permission::Granted, stop: None, ..*self };
+        }
+        self.permission == Permission::Granted
+    }
+
+    /// Windows are missing: those before say nothing about now, and the count of rests begins anew.
+    pub fn break_row(&mut self) {
+        self.rests = 0;
+    }
+
+    /// Nothing moves before [`Latch::arm`]. The first reason stays, but for one that says less than what follows: what
+    /// the arm itself says.
+    pub fn stop(&mut self, stop: Stop) {
+        use StopReason::{NotReady, StageEnded, TakenOver, VelocityRefused};
+        let says_little =
+            |stop: Stop| matches!(stop.reason, NotReady | StageEnded | TakenOver | VelocityRefused);
+        let says_more = self.stop.is_none_or(says_little)
+            && matches!(stop.reason, StopReason::ArmFault | StopReason::ConnectionBroke);
+        if self.permission != Permission::Stopped || self.stop.is_none() || says_more {
+            *self = Latch { permission: Permission::Stopped, stop: Some(stop), rests: 0, ..*self };
+        }
+    }
+
+    /// Nothing moves before the person has been at rest.
+    pub fn interrupt(&mut self, reason: StopReason) {
+        self.rests = 0;
+        if self.permission == Permission::Granted {
+            *self = Latch { stop: Some(Stop::because(reason)), ..Latch::new(self.needs_calibration) };
+        }
+    }
+
+    /// Motion is wanted again; it is not to be had before the arm is up.
+    pub fn forget_reason(&mut self) {
+        self.stop = None;
+    }
+
+    /// The arm is up again: it moves with the next rest.
+    pub fn arm(&mut self) {
+        *self = Latch::new(self.needs_calibration);
+    }
+
+    pub fn permission(&self) -> Permission {
+        self.permission
+    }
+
+    pub fn reason(&self) -> Option<Stop> {
+        self.stop
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tendon_messages::WindowContext;
+
+    use super::*;
+
+    fn window(gesture: Gesture) -> CommandHeader {
+        CommandHeader { gesture: gesture as u8, voted: Gesture::Rest as u8, ..CommandHeader::default() }
+    }
+
+    fn rested(mut latch: Latch) -> Latch {
+        (0..REST_WINDOWS).for_each(|_| _ = latch.admits(&window(Gesture::Rest)));
+        latch
+    }
+
+    #[test]
+    fn nothing_moves_at_the_start_before_a_rest() {
+        let mut latch = Latch::new(false);
+        let damaged = WindowContext { replaced_samples: 1, ..WindowContext::default() };
+        for _ in 0..10 {
+            assert!(!latch.admits(&window(Gesture::Flexion)));
+            assert!(!latch.admits(&CommandHeader { context: damaged, ..window(Gesture::Rest) }));
+            assert!(!latch.admits(&CommandHeader { gesture: 77, ..window(Gesture::Rest) }));
+            assert!(!latch.admits(&window(Gesture::Rest)), "one window alone is no rest");
+        }
+        let mut latch = rested(latch);
+        assert!(latch.admits(&window(Gesture::Flexion)));
+    }
+
+    #[test]
+    fn what_is_seen_before_the_calibration_is_over_is_no_rest() {
+        let seen = |activity: Activity| CommandHeader {
+            context: WindowContext { activity: activity as u8, ..WindowContext::default() },
+            ..window(Gesture::Rest)
+        };
+        let mut latch = Latch::new(true);
+        assert!((0..10).all(|_| !latch.admits(&seen(Activity::Calibrating))));
+        assert_eq!(
+            (0..3).map(|_| latch.admits(&seen(Activity::Rest))).collect::<Vec<_>>(),
+            [false, false, true]
+        );
+        latch.arm();
+        assert!((0..10).all(|_| !latch.admits(&seen(Activity::Calibrating))), "it is calibrated anew");
+    }
+
+    #[test]
+    fn an_interruption_ends_with_a_rest() {
+        let mut latch = rested(Latch::new(false));
+        latch.interrupt(StopReason::NoCommands);
+        assert_eq!(latch.reason(), Some(Stop::because(StopReason::NoCommands)));
+        assert!(!latch.admits(&window(Gesture::Flexion)));
+        let mut latch = rested(latch);
+        assert!(latch.admits(&window(Gesture::Flexion)));
+        assert_eq!(latch.reason(), None);
+    }
+
+    #[test]
+    fn a_stop_ends_with_an_arm_order_and_a_rest_only() {
+        let mut latch = rested(Latch::new(false));
+        latch.stop(Stop::because(StopReason::NotReady));
+        let fault = Stop::by_fault(31);
+        latch.stop(fault);
+        latch.stop(Stop::because(StopReason::Ordered));
+        latch.interrupt(StopReason::NoCommands);
+        assert_eq!(latch.reason(), Some(fault), "the first reason that says what is wrong stays");
+        let mut latch = rested(latch);
+        assert!(!latch.admits(&window(Gesture::Rest)) && !latch.admits(&window(Gesture::Flexion)));
+        latch.arm();
+        assert!(!latch.admits(&window(Gesture::Flexion)));
+        assert!(rested(latch).admits(&window(Gesture::Flexion)));
+    }
+}
