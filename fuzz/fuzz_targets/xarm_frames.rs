@@ -4,7 +4,9 @@
 
 use libfuzzer_sys::fuzz_target;
 use tendon_xarm::Command;
-use tendon_xarm::frame::{Decoder, Reply, fault};
+use tendon_xarm::frame::Decoder;
+use tendon_xarm::identity::Identity;
+use tendon_xarm::reply::{Reply, fault};
 use tendon_xarm_emulator::{Model, answer};
 
 fuzz_target!(|input: (u8, Vec<u8>)| {
@@ -16,9 +18,12 @@ fuzz_target!(|input: (u8, Vec<u8>)| {
     for mut piece in stream.chunks(usize::from(piece).max(1)) {
         while let Some(frame) = decoder.next_frame(&mut piece) {
             if let Ok(reply) = Reply::parse(&frame) {
-                let _ = (reply.text(), reply.arm_state(), fault(&reply), reply.command_count());
+                if let Ok(text) = reply.text() {
+                    let _ = Identity::parse(text, text).map(|identity| (identity.check(), identity.joint_limits()));
+                }
+                let _ = (reply.arm_state(), fault(&reply), reply.command_count());
                 let _ = (reply.floats::<6>(), reply.floats::<7>());
-                let _ = (reply.gripper_position_pulses(), reply.gripper_took_it());
+                let _ = (reply.gripper_position_pulses(), reply.gripper_moves(), reply.gripper_took_it());
             }
             let _ = Command::decode(frame.body);
             reply.clear();

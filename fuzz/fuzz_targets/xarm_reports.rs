@@ -15,6 +15,8 @@ fuzz_target!(|input: (u8, Vec<u8>)| {
                 report.encode(kind, &mut bytes);
                 let again = Report::decode(kind, &bytes).expect("what was encoded is a report");
                 assert_eq!((again.joints_rad, again.pose), (report.joints_rad, report.pose));
+                let is_whole = report.setup.is_some_and(|setup| setup.gravity.is_some());
+                assert!(!is_whole || again.setup == report.setup);
             }
         }
     }

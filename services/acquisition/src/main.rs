@@ -18,7 +18,7 @@ use anyhow::Context;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use tendon_gesture::Gesture;
-use tendon_messages::{BLOCKS, BlockHeader, Measurement, Stage, Trace, Truth};
+use tendon_messages::{BLOCKS, BlockHeader, Measured, MessageTimes, Stage, Trace, Truth};
 use tendon_process::{Order, STALE_NS, StageProcess, Wake};
 use tendon_transport::{Delivery, Loan, Publisher, now_ns};
 
@@ -166,11 +166,11 @@ impl Acquisition {
         let published_ns = self.blocks.send(prepared.loan, header)?;
         let late_ns = published_ns.saturating_sub(captured_ns);
         process.measurements.counts.published = self.blocks.published();
-        process.measurements.record(Measurement {
+        process.measurements.record(Measured::Message(MessageTimes {
+            transit_ns: 0,
             work_ns: late_ns,
-            newest_sample_to_publish_ns: late_ns,
-            ..Measurement::default()
-        })
+            newest_sample_to_publish_ns: Some(late_ns),
+        }))
     }
 
     /// Says that the source has come to its end, and waits to be stopped: the memory that others still read

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use tendon_config::{AcquisitionSettings, Gestures, Source as SourceKind};
 use tendon_emg_simulation::{Performance, Profile, Repeat, Script, SimulatedEmg};
-use tendon_messages::{NO_GESTURE, Truth};
+use tendon_messages::Truth;
 use tendon_recordings::ReplayStream;
 
 /// Gestures in a random sequence before it begins again.
@@ -102,12 +102,11 @@ impl Source {
             Source::Simulate { emg, performance, .. } => {
                 emg.fill_block(performance, block);
                 let truth = performance.truth();
-                Ok(Some(Truth { gesture: truth.gesture as u8, since_sample: truth.since_sample }))
+                Ok(Some(Truth::new(Some(truth.gesture as u8), truth.since_sample)))
             }
-            Source::Replay { stream, .. } => Ok(stream.next_block(block)?.map(|block| Truth {
-                gesture: block.cue.map_or(NO_GESTURE, |gesture| gesture as u8),
-                since_sample: block.cue_since,
-            })),
+            Source::Replay { stream, .. } => Ok(stream
+                .next_block(block)?
+                .map(|block| Truth::new(block.cue.map(|gesture| gesture as u8), block.cue_since))),
         }
     }
 }

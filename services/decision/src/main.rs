@@ -6,8 +6,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use tendon_gesture::{Decider, Evidence, Gesture};
 use tendon_messages::{
-    Activity, COMMANDS, CommandHeader, Measurement, NO_GESTURE, PREDICTIONS, PredictionHeader, Stage,
-    TWIST_LENGTH,
+    Activity, COMMANDS, CommandHeader, Measured, PREDICTIONS, PredictionHeader, Stage, TWIST_LENGTH,
 };
 use tendon_process::{Consumer, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber};
@@ -51,7 +50,7 @@ impl Consumer<PredictionHeader, f32> for Decision {
         &mut self,
         process: &mut StageProcess,
         prediction: &Received<PredictionHeader, f32>,
-    ) -> anyhow::Result<Measurement> {
+    ) -> anyhow::Result<Measured> {
         let context = prediction.header().context;
         let trace = prediction.trace();
         let probabilities: &[f32; Gesture::COUNT] = prediction
@@ -91,11 +90,11 @@ impl Consumer<PredictionHeader, f32> for Decision {
             }
         })?;
         process.measurements.counts.published = self.commands.published();
-        Ok(Measurement {
+        Ok(Measured::Decision {
+            times: process.message_times(&trace, Some(published_ns)),
             window_start_to_publish_ns: published_ns.saturating_sub(context.first_captured_ns),
-            truth: context.gesture_throughout().unwrap_or(NO_GESTURE),
+            truth: context.gesture_throughout(),
             gesture: outcome.gesture as u8,
-            ..process.measure(&trace, Some(published_ns))
         })
     }
 }

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use anyhow::ensure;
 use tendon_messages::{
-    Activity, BLOCKS, BlockHeader, Measurement, Stage, Truth, WINDOWS, WindowContext, WindowHeader,
+    Activity, BLOCKS, BlockHeader, Measured, Stage, Truth, WINDOWS, WindowContext, WindowHeader,
 };
 use tendon_process::{Consumer, StageProcess};
 use tendon_signal::SignalChain;
@@ -59,7 +59,7 @@ impl Consumer<BlockHeader, f32> for Dsp {
         &mut self,
         process: &mut StageProcess,
         block: &Received<BlockHeader, f32>,
-    ) -> anyhow::Result<Measurement> {
+    ) -> anyhow::Result<Measured> {
         let header = block.header();
         ensure!(
             header.channels as usize == self.channels && header.sample_rate_hz == self.sample_rate_hz,
@@ -119,7 +119,8 @@ impl Dsp {
             return Ok(None);
         }
         let newest_sample = header.first_sample + end as u64 - 1;
-        let truth = if header.truth.since_sample <= newest_sample { header.truth } else { self.truth_before };
+        let truth =
+            if header.truth.since_sample() <= newest_sample { header.truth } else { self.truth_before };
         let activity = match window.activity {
             tendon_signal::Activity::Calibrating => Activity::Calibrating,
             tendon_signal::Activity::Rest => Activity::Rest,
@@ -131,7 +132,7 @@ impl Dsp {
             truth,
             replaced_samples: window.replaced_samples,
             calibration_left_ms: (duration_ns(self.chain.calibration_left_samples()) / 1_000_000) as u32,
-            activity: activity as u8,
+            activity: activity.number(),
         };
         let window_header = WindowHeader {
             trace,

@@ -15,7 +15,7 @@ use std::process::ExitCode;
 use anyhow::ensure;
 use tendon_classifier::{Recogniser, WindowSource};
 use tendon_gesture::Gesture;
-use tendon_messages::{Measurement, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
+use tendon_messages::{Measured, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
 use tendon_process::{Consumer, Policy, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber, now_ns};
 
@@ -98,7 +98,7 @@ impl Consumer<WindowHeader, f32> for Inference {
         &mut self,
         process: &mut StageProcess,
         window: &Received<WindowHeader, f32>,
-    ) -> anyhow::Result<Measurement> {
+    ) -> anyhow::Result<Measured> {
         let header = window.header();
         ensure!(
             window.payload().len() == header.channels as usize * header.samples as usize,

@@ -338,7 +338,10 @@ impl Arm for XArm {
             position_mm: [x, y, z],
             orientation_rpy_rad: [roll, pitch, yaw],
             linear_speed_mm_per_s: self.speed_mm_per_s,
-            gripper_position_pulses: self.status.gripper_pulses.map_or(self.gripper_open_pulses, f64::from),
+            gripper_position_pulses: self
+                .status
+                .gripper
+                .map_or(self.gripper_open_pulses, |gripper| f64::from(gripper.position_pulses)),
             halted_by_watchdog: self.motion.halted_by_watchdog(),
         }
     }
@@ -353,6 +356,12 @@ fn stop_of(halt: Halt) -> Stop {
         Halt::Ordered => Stop::because(StopReason::Ordered),
         Halt::ConnectionBroke => Stop::because(StopReason::ConnectionBroke),
         Halt::Fault(fault) => stop_for(fault),
-        Halt::NotReady(_) | Halt::Refused(_) => Stop::because(StopReason::NotReady),
+        Halt::NotReady(_)
+        | Halt::ModeChanged(_)
+        | Halt::VelocityRefused
+        | Halt::Refused(_)
+        | Halt::NoReports
+        | Halt::TooSlow
+        | Halt::Unsupported(_) => Stop::because(StopReason::NotReady),
     }
 }

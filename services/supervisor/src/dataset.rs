@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
-use clap::{Args, Subcommand, ValueEnum};
-use tendon_recordings::Channel;
-use tendon_recordings::dataset::{
+use clap::{Args, Subcommand};
+use tendon_dataset::{
     BuildSettings, DatasetSettings, Manifest, OnsetStatistics, Progress as BuildProgress, SplitEntry,
 };
+use tendon_recordings::Channel;
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
@@ -64,13 +64,13 @@ pub struct BuildOptions {
     increment_samples: usize,
     /// What windows hold.
     #[arg(long, value_enum, default_value = "raw")]
-    input: Input,
+    input: WindowInput,
     /// The recordings are filtered already.
     #[arg(long)]
     filtered: bool,
     /// Where the threshold comes from above which a movement begins.
     #[arg(long, value_enum, default_value = "baseline")]
-    onset: Onset,
+    onset: OnsetMethod,
     /// With --onset peak-percentile: which percentile of the envelope's peaks is the threshold.
     #[arg(long, default_value_t = 80.0, value_name = "PERCENT")]
     peak_percentile: f64,
@@ -89,24 +89,6 @@ pub struct BuildOptions {
     threads: Option<u16>,
 }
 
-/// What windows hold.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Input {
-    /// The filtered signal, as live.
-    Raw,
-    /// Its moving RMS over 25 ms.
-    Envelope,
-}
-
-/// Where the threshold comes from.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Onset {
-    /// Median and deviation of the first 500 ms: the paper's choice.
-    Baseline,
-    /// A percentile of the envelope's peaks.
-    PeakPercentile,
-}
-
 impl BuildOptions {
     fn settings(&self) -> DatasetSettings {
         let default = DatasetSettings::default();
@@ -115,19 +97,13 @@ impl BuildOptions {
             recording_rate_hz: self.recording_rate_hz,
             sample_rate_hz: self.sample_rate_hz,
             filter: default.filter.filter(|_| !self.filtered),
-            input: match self.input {
-                Input::Raw => WindowInput::Raw,
-                Input::Envelope => WindowInput::Envelope,
-            },
+            input: self.input,
             windows: WindowSettings {
                 window_samples: self.window_samples,
                 increment_samples: self.increment_samples,
             },
             onset: OnsetSettings {
-                method: match self.onset {
-                    Onset::Baseline => OnsetMethod::Baseline,
-                    Onset::PeakPercentile => OnsetMethod::PeakPercentile,
-                },
+                method: self.onset,
                 peak_percentile: self.peak_percentile,
                 ..default.onset
             },
@@ -141,7 +117,7 @@ impl BuildOptions {
 ///
 /// # Errors
 ///
-/// As [`tendon_recordings::dataset::build`].
+/// As [`tendon_dataset::build`].
 pub fn build_shown(
     settings: &DatasetSettings,
     building: &BuildSettings,
@@ -165,7 +141,7 @@ pub fn build_shown(
         }
         ControlFlow::Continue(())
     };
-    let built = tendon_recordings::dataset::build(settings, building, recordings, out, &mut show);
+    let built = tendon_dataset::build(settings, building, recordings, out, &mut show);
     drop(progress);
     Ok((built.context("no data set was built").map_err(Failure::input)?, resumed_windows))
 }

@@ -14,11 +14,11 @@ use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use serde::Serialize;
 use tendon_classifier::{Classifier, Contract, WindowSource};
+use tendon_dataset::{DatasetSettings, StoredDataset, cut, list};
 use tendon_evaluation::{Answer, Evaluation, Origin, Tally};
 use tendon_figures::{confusion_figure, latency_figure};
 use tendon_gesture::Gesture;
-use tendon_recordings::dataset::{DatasetSettings, cut, list};
-use tendon_recordings::{Channel, StoredDataset};
+use tendon_recordings::Channel;
 use tendon_signal::WindowSettings;
 
 use crate::Failure;

@@ -23,10 +23,9 @@ use clap::Args;
 use serde::Serialize;
 use tendon_classifier::Classifier;
 use tendon_config::Config;
+use tendon_dataset::{BuildSettings, Manifest, Recording, StoredDataset, list};
 use tendon_evaluation::StrategyScores;
 use tendon_gesture::Strategy;
-use tendon_recordings::StoredDataset;
-use tendon_recordings::dataset::{BuildSettings, Manifest, Recording, list};
 use tendon_report::Report;
 use tendon_signal::FilterSettings;
 

@@ -105,7 +105,7 @@ pub struct Options {
     seed: Option<u64>,
     /// How rest and movement are told apart.
     #[arg(long, value_enum)]
-    strategy: Option<StrategyOption>,
+    strategy: Option<Strategy>,
     /// The ONNX model of the gestures.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -121,28 +121,6 @@ pub struct Options {
 enum PaceOption {
     True,
     Full,
-}
-
-/// A strategy on the command line.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub enum StrategyOption {
-    /// Activity detector, then five gestures.
-    Threshold,
-    /// A model of rest and move, then five gestures.
-    #[value(name = "two_stage", alias = "two-stage")]
-    TwoStage,
-    /// Six classes, rest among them.
-    Direct,
-}
-
-impl From<StrategyOption> for Strategy {
-    fn from(option: StrategyOption) -> Strategy {
-        match option {
-            StrategyOption::Threshold => Strategy::Threshold,
-            StrategyOption::TwoStage => Strategy::TwoStage,
-            StrategyOption::Direct => Strategy::Direct,
-        }
-    }
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -205,7 +183,7 @@ impl Options {
             acquisition.simulate.seed = seed;
         }
         if let Some(strategy) = self.strategy {
-            config.decision.strategy = strategy.into();
+            config.decision.strategy = strategy;
         }
         if let Some(model) = &self.model {
             config.inference.model = Some(model.clone());

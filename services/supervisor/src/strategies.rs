@@ -15,15 +15,15 @@ use clap::Args;
 use serde::Serialize;
 use tendon_classifier::{Recogniser, WindowSource};
 use tendon_config::Config;
+use tendon_dataset::{DatasetSettings, Recording, RecordingEntry, cut, list};
 use tendon_evaluation::{CuePart, Step, StrategyScores, StrategyTally};
 use tendon_gesture::{Decider, Evidence, Strategy};
-use tendon_recordings::dataset::{DatasetSettings, Recording, RecordingEntry, cut, list};
 use tendon_recordings::{Channel, ReplayStream};
 use tendon_signal::{Activity, SignalChain};
 
 use crate::Failure;
 use crate::progress::Progress;
-use crate::run::{StrategyOption, write_json};
+use crate::run::write_json;
 
 /// Command line of `tendon strategies`.
 #[derive(Debug, Args)]
@@ -33,7 +33,7 @@ pub struct Options {
     recordings: Vec<PathBuf>,
     /// Only this strategy; all three when left out.
     #[arg(long, value_enum)]
-    strategy: Option<StrategyOption>,
+    strategy: Option<Strategy>,
     /// Only these people, by number; when left out, all whom none of the models was trained on.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<u16>,
@@ -117,7 +117,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         rest_move: options.rest_move_model.clone(),
         six_class: options.six_class_model.clone(),
     };
-    let chosen = options.strategy.map_or(Strategy::ALL.to_vec(), |strategy| vec![strategy.into()]);
+    let chosen = options.strategy.map_or(Strategy::ALL.to_vec(), |strategy| vec![strategy]);
     let mut recognisers = Vec::new();
     for strategy in chosen {
         recognisers.push((strategy, models.load(&library, strategy, &config).map_err(Failure::input)?));

@@ -25,7 +25,7 @@ fn main() -> anyhow::Result<()> {
         real_time_report: on(listen.real_time_report_port),
         ..ClientSettings::new(listen.address)
     })?;
-    while client.status().phase == Phase::Disconnected {
+    while client.status().phase != Phase::Connected {
         std::thread::sleep(PERIOD);
     }
     client.arm(Mode::CartesianVelocity);

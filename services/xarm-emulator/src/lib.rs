@@ -22,10 +22,10 @@ pub use fault::{Fault, FaultError};
 use fault::{ReplyFault, ReplyFaults};
 pub use model::Model;
 use model::Taken;
-use tendon_xarm::command::{
-    GRIPPER_ADDRESS, GRIPPER_LINE, MODBUS_READ, MODBUS_WRITE, gripper_register, register,
-};
-use tendon_xarm::frame::{Decoder, Frame, HEARTBEAT_PROTOCOL, Reply, StateByte};
+use tendon_xarm::command::register;
+use tendon_xarm::frame::{Decoder, Frame, HEARTBEAT_PROTOCOL};
+use tendon_xarm::gripper::{self, MODBUS_READ, MODBUS_WRITE};
+use tendon_xarm::reply::{Reply, StateByte};
 use tendon_xarm::report::Kind;
 use tendon_xarm::{Command, GripperRequest};
 
@@ -342,8 +342,8 @@ fn obey(model: &mut Model, command: Command, parameters: &mut Vec<u8>) -> Taken 
 }
 
 fn obey_gripper(model: &mut Model, request: GripperRequest, parameters: &mut Vec<u8>) {
-    use gripper_register::{ENABLE, MODE, SPEED, TARGET};
-    parameters.extend([GRIPPER_LINE, GRIPPER_ADDRESS]);
+    use gripper::register::{ENABLE, MODE, SPEED, TARGET};
+    parameters.extend([gripper::LINE, gripper::ADDRESS]);
     let mut wrote = |register: u16, words: u8| {
         let [high, low] = register.to_be_bytes();
         parameters.extend([MODBUS_WRITE, high, low, 0, words]);
@@ -384,11 +384,11 @@ fn obey_unlisted(body: &[u8], parameters: &mut Vec<u8>) -> Taken {
     /// First of three registers with the version of the gripper's firmware, 3.4.3.
     const GRIPPER_VERSION: u16 = 0x0801;
     match *body {
-        [READ_FLANGE_BOARD, GRIPPER_LINE, ..] => parameters.extend(BAUD_RATE.to_be_bytes()),
-        [WRITE_FLANGE_BOARD, GRIPPER_LINE, ..] => {}
-        [register::GRIPPER, GRIPPER_LINE, GRIPPER_ADDRESS, MODBUS_READ, r0, r1, 0, words @ 1..=16] => {
+        [READ_FLANGE_BOARD, gripper::LINE, ..] => parameters.extend(BAUD_RATE.to_be_bytes()),
+        [WRITE_FLANGE_BOARD, gripper::LINE, ..] => {}
+        [register::GRIPPER, gripper::LINE, gripper::ADDRESS, MODBUS_READ, r0, r1, 0, words @ 1..=16] => {
             let register = u16::from_be_bytes([r0, r1]);
-            parameters.extend([GRIPPER_LINE, GRIPPER_ADDRESS, MODBUS_READ, 2 * words]);
+            parameters.extend([gripper::LINE, gripper::ADDRESS, MODBUS_READ, 2 * words]);
             for register in register..register.saturating_add(words.into()) {
                 let value: u16 = match register.wrapping_sub(GRIPPER_VERSION) {
                     0 | 2 => 3,

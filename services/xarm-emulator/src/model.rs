@@ -13,7 +13,7 @@
 use nalgebra::{Matrix6, Vector3, Vector6};
 use tendon_arm::kinematics::{JOINT_SPEED_LIMIT_RAD_PER_S, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD};
 use tendon_arm::{ArmSettings, JointVector, XArm7};
-use tendon_xarm::report::{Health, Report};
+use tendon_xarm::report::{Health, Report, Setup};
 use tendon_xarm::{ArmState, Mode, StateOrder, TwistFrame};
 
 /// Length of a step, ns.
@@ -383,6 +383,7 @@ impl Model {
                 error: self.error,
                 warning: self.warning,
             }),
+            setup: Some(Setup::default()),
             forces: None,
         }
     }

@@ -43,7 +43,12 @@ fn wait(client: &Client, what: &str, mut each: impl FnMut(), condition: impl Fn(
     }
 }
 
+fn is_connected(status: &Status) -> bool {
+    status.phase == Phase::Connected
+}
+
 fn bring_up(client: &Client) {
+    wait(client, "a connection", || {}, is_connected);
     client.arm(Mode::CartesianVelocity);
     wait(client, "ready", || {}, |status| status.phase == Phase::Ready);
 }
@@ -72,7 +77,12 @@ fn it_brings_the_arm_up_moves_it_and_grips() {
     );
     wait(&client, "rest", || client.follow(REST), is_resting);
     client.move_gripper(300);
-    let status = wait(&client, "the gripper", || {}, |status| status.gripper_pulses == Some(300));
+    let status = wait(
+        &client,
+        "the gripper",
+        || {},
+        |status| status.gripper.is_some_and(|gripper| gripper.position_pulses == 300),
+    );
     assert_eq!((status.late_replies, status.timeouts, status.garbage_bytes), (0, 0, 0));
     assert_eq!(status.halt, None);
 }
@@ -80,6 +90,7 @@ fn it_brings_the_arm_up_moves_it_and_grips() {
 #[test]
 fn joints_follow_in_their_own_mode_and_not_in_another() {
     let (emulator, client) = start();
+    wait(&client, "a connection", || {}, is_connected);
     client.arm(Mode::JointVelocity);
     wait(&client, "ready", || {}, |status| status.phase == Phase::Ready);
     let before = emulator.model().report().joints_rad;
@@ -169,7 +180,8 @@ fn errors_stop_the_motion_and_say_what_to_do() {
         },
     );
     client.arm(Mode::CartesianVelocity);
-    wait(&client, "the refusal", || {}, |status| status.halt == Some(Halt::Refused(0x10)));
+    let pressed = Halt::Fault(Fault { source: Source::Controller, code: 1 });
+    wait(&client, "the refusal", || {}, |status| status.halt == Some(pressed));
     emulator.inject(Injected::Release);
     bring_up(&client);
 }

@@ -571,7 +571,7 @@ impl SimulateSettings {
 impl ReplaySettings {
     /// How the recording is read for a session of so many channels.
     pub fn recording(&self, channels: usize) -> RecordingSettings {
-        let is_three_dc = self.path.as_deref().is_some_and(tendon_recordings::is_three_dc);
+        let is_three_dc = self.path.as_deref().is_some_and(tendon_recordings::three_dc::is_three_dc);
         let default = || match channels {
             4 if is_three_dc => MODEL_CHANNELS_OF_THREE_DC.map(Channel::Index).to_vec(),
             _ => (0..channels).map(Channel::Index).collect(),

@@ -1,19 +1,22 @@
 //! From the probabilities of a window to what the arm is to do (paper sections "Muscle Activation Detection
 //! Strategies" and "Simulations and Implementation on the Robotic Arm").
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::Gesture;
 
 /// How rest and movement are told apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Strategy {
     /// Strategy (a): the activity detector tells rest from movement, the classifier only which of the five
     /// active gestures it is.
     Threshold,
     /// Strategy (b): a first classifier tells rest from movement, a second one which of the five active gestures it
     /// is; the activity detector is not asked.
+    #[value(alias = "two-stage")]
     TwoStage,
     /// Strategy (c): the classifier knows all six classes; the activity detector is not asked.
     Direct,

@@ -2,33 +2,22 @@
 
 use core::fmt;
 
-/// How far the arm is, as it travels in [`StateHeader::arm_phase`](crate::StateHeader::arm_phase).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum ArmPhase {
-    /// There is no connection yet.
-    Connecting = 0,
-    /// Its errors are cleared and its motors switched on.
-    BringingUp = 1,
-    /// It goes to its start position by itself.
-    GoingToStart = 2,
-    /// It follows commands, as far as [`Permission`](crate::Permission) lets them through.
-    Following = 3,
-    /// It is connected and stays where it is until `tendon arm`.
-    Waiting = 4,
-}
+use crate::numbered::numbered;
 
-impl ArmPhase {
-    /// The phase with this number. What no sender of ours writes is taken for the harmless one.
-    pub fn from_number(number: u8) -> ArmPhase {
-        match number {
-            1 => ArmPhase::BringingUp,
-            2 => ArmPhase::GoingToStart,
-            3 => ArmPhase::Following,
-            4 => ArmPhase::Waiting,
-            _ => ArmPhase::Connecting,
-        }
-    }
+numbered! {
+    /// How far the arm is, as it travels in [`StateHeader::arm_phase`](crate::StateHeader::arm_phase).
+    pub enum ArmPhase {
+        /// There is no connection yet.
+        Connecting = 0,
+        /// Its errors are cleared and its motors switched on.
+        BringingUp = 1,
+        /// It goes to its start position by itself.
+        GoingToStart = 2,
+        /// It follows commands, as far as [`Permission`](crate::Permission) lets them through.
+        Following = 3,
+        /// It is connected and stays where it is until `tendon arm`.
+        Waiting = 4,
+    } otherwise Connecting
 }
 
 /// What keeps the arm from following a command in full, as it travels in
@@ -107,13 +96,5 @@ mod tests {
         assert_eq!(Hindrance::from_number(0), None);
         let face = Hindrance::WorkspaceFace { axis: 2, is_upper: true };
         assert_eq!(face.to_string(), "at the workspace limit +z");
-    }
-
-    #[test]
-    fn numbers_and_phases_go_both_ways() {
-        for number in 0..=4 {
-            assert_eq!(ArmPhase::from_number(number) as u8, number);
-        }
-        assert_eq!(ArmPhase::from_number(77), ArmPhase::Connecting);
     }
 }

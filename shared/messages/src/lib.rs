@@ -19,48 +19,42 @@
 
 mod arm;
 mod measurement;
+mod numbered;
 mod permission;
 mod topic;
 
 pub use arm::{ArmPhase, Hindrance};
-pub use measurement::{Measurement, MeasurementHeader};
+pub use measurement::{Measured, Measurement, MeasurementHeader, MessageTimes};
 pub use permission::{Permission, StopReason};
 pub use topic::{BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATES, Topic, WINDOWS};
 
 use iceoryx2::prelude::ZeroCopySend;
 
-/// Number of stages on the path of a sample.
-pub const STAGE_COUNT: usize = 5;
+use crate::numbered::numbered;
 
-/// A process on the path of a sample, in the order of that path.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum Stage {
-    /// Samples in: simulated, replayed or from an amplifier.
-    Acquisition = 0,
-    /// Filters, activity detection, windows.
-    Dsp = 1,
-    /// Class probabilities of a window.
-    Inference = 2,
-    /// Vote, gripper and velocity map.
-    Decision = 3,
-    /// The arm, simulated or real.
-    Robot = 4,
+/// Number of stages on the path of a sample.
+pub const STAGE_COUNT: usize = Stage::ALL.len();
+
+numbered! {
+    /// A process on the path of a sample, in the order of that path.
+    pub enum Stage {
+        /// Samples in: simulated, replayed or from an amplifier.
+        Acquisition = 0,
+        /// Filters, activity detection, windows.
+        Dsp = 1,
+        /// Class probabilities of a window.
+        Inference = 2,
+        /// Vote, gripper and velocity map.
+        Decision = 3,
+        /// The arm, simulated or real.
+        Robot = 4,
+    }
 }
 
 impl Stage {
-    /// All stages in the order of a sample's path.
-    pub const ALL: [Stage; STAGE_COUNT] =
-        [Stage::Acquisition, Stage::Dsp, Stage::Inference, Stage::Decision, Stage::Robot];
-
     /// Index into the arrays of a [`Trace`].
     pub const fn index(self) -> usize {
         self as usize
-    }
-
-    /// The stage with this index, `None` beyond the last.
-    pub fn from_index(index: usize) -> Option<Stage> {
-        Stage::ALL.get(index).copied()
     }
 
     /// The stage's name, which is also its process's: `acquisition`, `dsp`, …
@@ -76,7 +70,7 @@ impl Stage {
 
     /// The stage that feeds this one; `None` for the first.
     pub fn upstream(self) -> Option<Stage> {
-        self.index().checked_sub(1).and_then(Stage::from_index)
+        self.number().checked_sub(1).and_then(Stage::from_number)
     }
 }
 
@@ -121,23 +115,52 @@ macro_rules! traced {
 
 traced!(BlockHeader, WindowHeader, PredictionHeader, CommandHeader, StateHeader, MeasurementHeader);
 
-/// In a field that holds a gesture's class number: no gesture, or not known.
-pub const NO_GESTURE: u8 = u8::MAX;
+/// A gesture's class number as it travels, or none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ZeroCopySend)]
+#[repr(C)]
+struct GestureNumber(u8);
+
+impl GestureNumber {
+    const NONE: GestureNumber = GestureNumber(u8::MAX);
+
+    fn new(gesture: Option<u8>) -> GestureNumber {
+        gesture.map_or(GestureNumber::NONE, GestureNumber)
+    }
+
+    fn get(self) -> Option<u8> {
+        (self != GestureNumber::NONE).then_some(self.0)
+    }
+}
 
 /// The gesture that was really made, as the source knows it. It travels for scoring only: no stage decides
 /// by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ZeroCopySend)]
 #[repr(C)]
 pub struct Truth {
+    since_sample: u64,
+    gesture: GestureNumber,
+}
+
+impl Truth {
+    /// The gesture with this class number has been made since that sample; `None`: nobody knows which.
+    pub fn new(gesture: Option<u8>, since_sample: u64) -> Truth {
+        Truth { since_sample, gesture: GestureNumber::new(gesture) }
+    }
+
+    /// Class number of the gesture at the newest sample, if it is known.
+    pub fn gesture(&self) -> Option<u8> {
+        self.gesture.get()
+    }
+
     /// Index of the sample since which the gesture has been the same.
-    pub since_sample: u64,
-    /// Class number of the gesture at the newest sample, or [`NO_GESTURE`].
-    pub gesture: u8,
+    pub fn since_sample(&self) -> u64 {
+        self.since_sample
+    }
 }
 
 impl Default for Truth {
     fn default() -> Self {
-        Truth { since_sample: 0, gesture: NO_GESTURE }
+        Truth::new(None, 0)
     }
 }
 
@@ -197,32 +220,20 @@ pub struct WindowContext {
 impl WindowContext {
     /// The true gesture's class number if the window lies wholly inside it, else `None`.
     pub fn gesture_throughout(&self) -> Option<u8> {
-        (self.truth.gesture != NO_GESTURE && self.truth.since_sample <= self.first_sample)
-            .then_some(self.truth.gesture)
+        self.truth.gesture().filter(|_| self.truth.since_sample <= self.first_sample)
     }
 }
 
-/// What the activity detector says, as it travels in [`WindowContext::activity`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum Activity {
-    /// The first seconds at rest are still being measured.
-    Calibrating = 0,
-    /// The muscles are at rest.
-    Rest = 1,
-    /// The muscles are active.
-    Move = 2,
-}
-
-impl Activity {
-    /// The activity with this number. What no sender of ours writes is taken for the harmless one.
-    pub fn from_number(number: u8) -> Activity {
-        match number {
-            2 => Activity::Move,
-            1 => Activity::Rest,
-            _ => Activity::Calibrating,
-        }
-    }
+numbered! {
+    /// What the activity detector says, as it travels in [`WindowContext::activity`].
+    pub enum Activity {
+        /// The first seconds at rest are still being measured.
+        Calibrating = 0,
+        /// The muscles are at rest.
+        Rest = 1,
+        /// The muscles are active.
+        Move = 2,
+    } otherwise Calibrating
 }
 
 /// Header of a prediction; payload `f32 [6]`, the probability of every gesture by class number, 0 for those

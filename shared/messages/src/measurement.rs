@@ -2,43 +2,129 @@
 
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::{NO_GESTURE, Trace};
+use crate::numbered::numbered;
+use crate::{GestureNumber, Trace};
 
-/// One message as a stage saw it. Durations in ns; 0 where the stage did not get that far.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ZeroCopySend)]
-#[repr(C)]
-pub struct Measurement {
+/// One thing that a stage measured. It travels as a [`Measurement`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Measured {
+    /// A message that the stage took or, at the source, made.
+    Message(MessageTimes),
+    /// A window that decision turned into a command.
+    Decision {
+        /// Times of the prediction that was decided upon.
+        times: MessageTimes,
+        /// Capture of the window's first sample to the command's publication, ns.
+        window_start_to_publish_ns: u64,
+        /// Class number of the true gesture if the window lies wholly inside one.
+        truth: Option<u8>,
+        /// Class number of the window's recognised gesture, before the vote.
+        gesture: u8,
+    },
+    /// A control tick of the robot.
+    ControlTick {
+        /// How late it was, ns.
+        late_ns: u64,
+    },
+    /// A command that the robot gave to the arm's network.
+    CommandToWire {
+        /// Receipt of the command to the bytes given to the network, ns.
+        took_ns: u64,
+    },
+}
+
+/// The times of one message at one stage, ns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MessageTimes {
     /// Upstream's publish to this stage's receive; 0 at the source.
     pub transit_ns: u64,
     /// Receive to publish, or to the end of the work where nothing was due to be published. At the source:
-    /// from the time the newest sample was due.
+    /// from the capture of the newest sample.
     pub work_ns: u64,
-    /// Capture of the newest sample to this stage's publish; 0 when nothing was published.
-    pub newest_sample_to_publish_ns: u64,
-    /// Capture of the window's first sample to this stage's publish; only decision gives it.
-    pub window_start_to_publish_ns: u64,
-    /// How late the robot's control tick was, at least 1; only the robot's ticks give it, and nothing else.
-    pub tick_lateness_ns: u64,
-    /// From the receipt of a command to the bytes given to the arm's network, at least 1; only a robot with an arm on a
-    /// network gives it, and nothing else.
-    pub command_to_wire_ns: u64,
-    /// The true gesture's class number if the window lies wholly inside it; only decision gives it.
-    pub truth: u8,
-    /// The window's recognised gesture, before the vote; only decision gives it.
-    pub gesture: u8,
+    /// Capture of the newest sample to this stage's publish; `None` when nothing was published.
+    pub newest_sample_to_publish_ns: Option<u64>,
 }
 
-impl Default for Measurement {
-    fn default() -> Self {
-        Measurement {
-            transit_ns: 0,
-            work_ns: 0,
-            newest_sample_to_publish_ns: 0,
-            window_start_to_publish_ns: 0,
-            tick_lateness_ns: 0,
-            command_to_wire_ns: 0,
-            truth: NO_GESTURE,
-            gesture: NO_GESTURE,
+numbered! {
+    /// What a [`Measurement`] holds.
+    pub enum Kind {
+        Message = 0,
+        PublishedMessage = 1,
+        Decision = 2,
+        PublishedDecision = 3,
+        ControlTick = 4,
+        CommandToWire = 5,
+    }
+}
+
+/// A [`Measured`] as it travels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ZeroCopySend)]
+#[repr(C)]
+pub struct Measurement {
+    /// By kind: transit, work, newest sample to publish, window start to publish; or one duration.
+    durations_ns: [u64; 4],
+    kind: u8,
+    truth: GestureNumber,
+    gesture: GestureNumber,
+}
+
+impl From<Measured> for Measurement {
+    fn from(measured: Measured) -> Measurement {
+        let nothing = Measurement {
+            durations_ns: [0; 4],
+            kind: Kind::Message.number(),
+            truth: GestureNumber::NONE,
+            gesture: GestureNumber::NONE,
+        };
+        let of_message = |times: MessageTimes, [alone, published]: [Kind; 2]| {
+            let MessageTimes { transit_ns, work_ns, newest_sample_to_publish_ns } = times;
+            Measurement {
+                durations_ns: [transit_ns, work_ns, newest_sample_to_publish_ns.unwrap_or(0), 0],
+                kind: newest_sample_to_publish_ns.map_or(alone, |_| published).number(),
+                ..nothing
+            }
+        };
+        match measured {
+            Measured::Message(times) => of_message(times, [Kind::Message, Kind::PublishedMessage]),
+            Measured::Decision { times, window_start_to_publish_ns, truth, gesture } => {
+                let mut measurement = of_message(times, [Kind::Decision, Kind::PublishedDecision]);
+                measurement.durations_ns[3] = window_start_to_publish_ns;
+                measurement.truth = GestureNumber::new(truth);
+                measurement.gesture = GestureNumber::new(Some(gesture));
+                measurement
+            }
+            Measured::ControlTick { late_ns } => {
+                Measurement { durations_ns: [late_ns, 0, 0, 0], kind: Kind::ControlTick.number(), ..nothing }
+            }
+            Measured::CommandToWire { took_ns } => Measurement {
+                durations_ns: [took_ns, 0, 0, 0],
+                kind: Kind::CommandToWire.number(),
+                ..nothing
+            },
+        }
+    }
+}
+
+impl Measurement {
+    /// What was measured; `None` for what no sender of ours writes.
+    pub fn measured(&self) -> Option<Measured> {
+        let [first, second, third, fourth] = self.durations_ns;
+        let times = |newest_sample_to_publish_ns| MessageTimes {
+            transit_ns: first,
+            work_ns: second,
+            newest_sample_to_publish_ns,
+        };
+        let decision = |times| {
+            let (truth, gesture) = (self.truth.get(), self.gesture.get()?);
+            Some(Measured::Decision { times, window_start_to_publish_ns: fourth, truth, gesture })
+        };
+        match Kind::from_number(self.kind)? {
+            Kind::Message => Some(Measured::Message(times(None))),
+            Kind::PublishedMessage => Some(Measured::Message(times(Some(third)))),
+            Kind::Decision => decision(times(None)),
+            Kind::PublishedDecision => decision(times(Some(third))),
+            Kind::ControlTick => Some(Measured::ControlTick { late_ns: first }),
+            Kind::CommandToWire => Some(Measured::CommandToWire { took_ns: first }),
         }
     }
 }
@@ -76,4 +162,32 @@ pub struct MeasurementHeader {
     pub finished: u8,
     /// Index of the sender's [`Stage`](crate::Stage).
     pub stage: u8,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_measured_reads_back_also_when_it_took_no_time() {
+        let times = |newest_sample_to_publish_ns| MessageTimes {
+            transit_ns: 3,
+            work_ns: 0,
+            newest_sample_to_publish_ns,
+        };
+        let decision =
+            |times, truth| Measured::Decision { times, window_start_to_publish_ns: 7, truth, gesture: 5 };
+        for measured in [
+            Measured::Message(times(None)),
+            Measured::Message(times(Some(0))),
+            decision(times(Some(9)), Some(0)),
+            decision(times(None), None),
+            Measured::ControlTick { late_ns: 0 },
+            Measured::CommandToWire { took_ns: 0 },
+        ] {
+            assert_eq!(Measurement::from(measured).measured(), Some(measured));
+        }
+        let foreign = Measurement { kind: 77, ..Measured::ControlTick { late_ns: 1 }.into() };
+        assert_eq!(foreign.measured(), None);
+    }
 }

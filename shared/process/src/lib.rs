@@ -25,7 +25,7 @@ use anyhow::Context;
 use clap::Parser;
 use serde::{Deserialize, Serialize};
 use tendon_config::Config;
-use tendon_messages::{Measurement, Stage, Trace, Traced};
+use tendon_messages::{Measured, MessageTimes, Stage, Trace, Traced};
 use tendon_transport::{Delivery, Element, Received, Session, Subscriber, now_ns};
 
 pub use allocations::allocations;
@@ -68,7 +68,7 @@ pub trait Consumer<H: Traced, E: Element> {
     /// # Errors
     ///
     /// What ends the session: a message that cannot be one of this session, or a transport that is broken.
-    fn take(&mut self, process: &mut StageProcess, message: &Received<H, E>) -> anyhow::Result<Measurement>;
+    fn take(&mut self, process: &mut StageProcess, message: &Received<H, E>) -> anyhow::Result<Measured>;
 
     /// When the consumer wants [`Consumer::rehearse`] to be called, CLOCK_MONOTONIC ns, if no message comes
     /// first.
@@ -168,14 +168,14 @@ impl StageProcess {
                     input.acknowledge_wakes()?;
                     while !self.control.is_stopped() {
                         let Some(message) = input.receive()? else { break };
-                        let measurement = match consumer.take(self, &message) {
+                        let measured = match consumer.take(self, &message) {
                             // Being stopped while the next stage takes nothing more is no failure.
                             Err(_) if self.control.is_stopped() => break,
-                            measurement => measurement?,
+                            measured => measured?,
                         };
                         drop(message);
                         self.count(&input);
-                        self.measurements.record(measurement)?;
+                        self.measurements.record(measured)?;
                     }
                 }
             }
@@ -201,15 +201,19 @@ impl StageProcess {
     }
 
     /// Transit and work of a message with this trace, which led to a publication at `published_ns` or to none.
-    pub fn measure(&self, trace: &Trace, published_ns: Option<u64>) -> Measurement {
+    pub fn measure(&self, trace: &Trace, published_ns: Option<u64>) -> Measured {
+        Measured::Message(self.message_times(trace, published_ns))
+    }
+
+    /// As [`StageProcess::measure`], for a stage that measures more than these times.
+    pub fn message_times(&self, trace: &Trace, published_ns: Option<u64>) -> MessageTimes {
         let received_ns = trace.received_ns[self.stage.index()];
         let sent_ns = self.stage.upstream().map_or(0, |upstream| trace.published_ns[upstream.index()]);
-        Measurement {
+        MessageTimes {
             transit_ns: received_ns.saturating_sub(sent_ns),
             work_ns: published_ns.unwrap_or_else(now_ns).saturating_sub(received_ns),
             newest_sample_to_publish_ns: published_ns
-                .map_or(0, |published_ns| published_ns.saturating_sub(trace.captured_ns)),
-            ..Measurement::default()
+                .map(|published_ns| published_ns.saturating_sub(trace.captured_ns)),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use crate::allocations::allocations;
 use anyhow::Context;
-use tendon_messages::{MEASUREMENTS, Measurement, MeasurementHeader, Stage};
+use tendon_messages::{MEASUREMENTS, Measured, Measurement, MeasurementHeader, Stage};
 use tendon_transport::{Delivery, Publisher, Session, now_ns};
 
 /// Measurements in a batch: at full speed, some 50 000 messages/s, observers who come by every 50 ms find less
@@ -37,7 +37,7 @@ impl Measurements {
         let never = Arc::new(AtomicBool::new(false));
         let publisher = Publisher::open(session, &MEASUREMENTS, BATCH_LENGTH, Delivery::Live, never)?;
         let counts = MeasurementHeader {
-            stage: stage.index() as u8,
+            stage: stage.number(),
             process_id: u64::from(std::process::id()),
             ..MeasurementHeader::default()
         };
@@ -55,13 +55,13 @@ impl Measurements {
     /// # Errors
     ///
     /// When the batch cannot be published.
-    pub fn record(&mut self, measurement: Measurement) -> anyhow::Result<()> {
+    pub fn record(&mut self, measured: Measured) -> anyhow::Result<()> {
         let now_ns = now_ns();
         if self.counts.first_message_ns == 0 {
             self.counts.first_message_ns = now_ns;
         }
         self.counts.newest_message_ns = now_ns;
-        self.push(measurement)
+        self.push(measured)
     }
 
     /// Takes how late a control tick was.
@@ -70,7 +70,7 @@ impl Measurements {
     ///
     /// As [`Measurements::record`].
     pub fn record_tick(&mut self, lateness_ns: u64) -> anyhow::Result<()> {
-        self.push(Measurement { tick_lateness_ns: lateness_ns.max(1), ..Measurement::default() })
+        self.push(Measured::ControlTick { late_ns: lateness_ns })
     }
 
     /// Takes how long a command took from its receipt to the arm's network.
@@ -79,11 +79,11 @@ impl Measurements {
     ///
     /// As [`Measurements::record`].
     pub fn record_command_to_wire(&mut self, took_ns: u64) -> anyhow::Result<()> {
-        self.push(Measurement { command_to_wire_ns: took_ns.max(1), ..Measurement::default() })
+        self.push(Measured::CommandToWire { took_ns })
     }
 
-    fn push(&mut self, measurement: Measurement) -> anyhow::Result<()> {
-        self.batch.push(measurement);
+    fn push(&mut self, measured: Measured) -> anyhow::Result<()> {
+        self.batch.push(measured.into());
         if self.batch.len() == BATCH_LENGTH { self.publish() } else { self.publish_if_due() }
     }
 

@@ -7,7 +7,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use tendon_recordings::{Channel, RecordingSettings, ReplayStream, check, three_dc_repetitions};
+use tendon_recordings::{Channel, RecordingSettings, ReplayStream, check, three_dc};
 use tendon_signal::{EmgFilter, FilterSettings, OnsetSettings, find_onset};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let count = settings.channels.len();
         let mut signal = Vec::new();
         for folder in &folders {
-            for repetition in three_dc_repetitions(folder)? {
+            for repetition in three_dc::repetitions(folder)? {
                 let settings = RecordingSettings { repetition: Some(repetition), ..settings.clone() };
                 let mut stream = ReplayStream::open(folder, &settings, 2000.0, 1)?;
                 let mut filter = EmgFilter::new(&FilterSettings::default(), count, 2000.0)?;

@@ -9,17 +9,20 @@
 //! Columns may stand in any order; `session`, `start_sample` and `end_sample` may be left out. All trials of a file
 //! are of one person and session: the filter runs through the file without a break.
 
+mod problem;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
 
-use crate::dataset::SkippedEntry;
-use crate::source::Segment;
+use crate::segment::{Segment, SkippedEntry};
+
+pub use problem::{LabelsError, LabelsProblem};
 
 /// Name of the file.
-pub(crate) const FILE_NAME: &str = "labels.csv";
+pub const FILE_NAME: &str = "labels.csv";
 
 const COLUMNS: [&str; 7] =
     ["file", "person", "session", "repetition", "gesture", "start_sample", "end_sample"];
@@ -29,34 +32,27 @@ const REQUIRED: [&str; 4] = ["file", "person", "repetition", "gesture"];
 /// The session where none is given.
 const ONLY_SESSION: &str = "1";
 
-/// A place in a labels file that cannot be used, and what to do.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{}, line {line}: {problem}", .path.display())]
-pub struct LabelsError {
-    path: PathBuf,
-    /// Counted from 1, the header included.
-    line: u64,
-    problem: String,
-}
-
 /// A file that has labels.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct LabelledFile {
-    pub(crate) path: PathBuf,
-    pub(crate) person: u16,
-    pub(crate) session: String,
+pub struct LabelledFile {
+    /// The table.
+    pub path: PathBuf,
+    /// Number of the person.
+    pub person: u16,
+    /// When it was recorded, in the user's words.
+    pub session: String,
     /// Its trials, and what lies between them.
-    pub(crate) segments: Vec<Segment>,
+    pub segments: Vec<Segment>,
 }
 
 impl LabelledFile {
     /// The largest repetition of its trials.
-    pub(crate) fn last_repetition(&self) -> u32 {
+    pub fn last_repetition(&self) -> u32 {
         self.segments.iter().filter_map(|segment| segment.repetition).max().unwrap_or(0)
     }
 }
 
-/// A line.
+/// A trial, as a line of the file says it.
 struct Label {
     line: u64,
     repetition: u32,
@@ -73,132 +69,177 @@ struct Labels {
     labels: Vec<Label>,
 }
 
-/// Reads `labels.csv` of `folder`. Labels that cannot be used, because their file is not there or their gesture is
+/// Reads `labels.csv` of `folder`. Labels that cannot be used, because their file is missing or their gesture is
 /// none of the six, are skipped, and so are tables at or below the folder that no label names.
 ///
 /// # Errors
 /// The first line that is wrong.
-pub(crate) fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<LabelledFile>, LabelsError> {
+pub fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<LabelledFile>, LabelsError> {
     let path = folder.join(FILE_NAME);
-    let wrong = |line: u64, problem: String| LabelsError { path: path.clone(), line, problem };
-    let text = fs::read(&path).map_err(|error| wrong(1, format!("cannot be read ({error})")))?;
+    let wrong = |line: u64, problem| LabelsError { path: path.clone(), line, problem };
+    let text = fs::read(&path).map_err(|error| wrong(1, LabelsProblem::Read(error)))?;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .flexible(true)
         .from_reader(text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text));
-    let columns = columns_of(reader.headers().map_err(|error| wrong(1, error.to_string()))?)
-        .map_err(|problem| wrong(1, problem))?;
+    let header = reader.headers().map_err(|error| wrong(1, LabelsProblem::Csv(error)))?;
+    let columns = columns_of(header).map_err(|problem| wrong(1, problem))?;
 
-    let mut files: Vec<PathBuf> = Vec::new();
-    let mut labels_of: BTreeMap<PathBuf, Labels> = BTreeMap::new();
+    let mut labels = LabelsOfFiles::default();
     for record in reader.records() {
-        let record = record
-            .map_err(|error| wrong(error.position().map_or(1, csv::Position::line), error.to_string()))?;
+        let record = record.map_err(|error| {
+            wrong(error.position().map_or(1, csv::Position::line), LabelsProblem::Csv(error))
+        })?;
         let line = record.position().map_or(1, csv::Position::line);
-        let cell = |column: &str| columns.get(column).and_then(|&index| record.get(index)).unwrap_or("");
-        let name = cell("file");
-        if name.is_empty() {
-            return Err(wrong(
-                line,
-                "names no file: give its path, from the folder of labels.csv on".to_owned(),
-            ));
-        }
-        let number = |column: &'static str, largest: u64| -> Result<u64, LabelsError> {
-            let text = cell(column);
-            text.parse().ok().filter(|&number| number <= largest).ok_or_else(|| {
-                wrong(line, format!("{column} = `{text}`: give a whole number of 0 to {largest}"))
-            })
-        };
-        let person = number("person", u16::MAX.into())? as u16;
-        let repetition = number("repetition", u8::MAX.into())? as u32;
-        let start_sample = match cell("start_sample") {
-            "" => 0,
-            _ => number("start_sample", u64::MAX)?,
-        };
-        let end_sample = match cell("end_sample") {
-            "" => None,
-            _ => Some(number("end_sample", u64::MAX)?),
-        };
-        if end_sample.is_some_and(|end| end <= start_sample) {
-            let problem = format!("the trial ends (end_sample) where it has not begun ({start_sample})");
-            return Err(wrong(line, problem));
-        }
-        let session = match cell("session") {
-            "" => ONLY_SESSION,
-            session => session,
-        };
+        let row = Row::read(&columns, &record).map_err(|problem| wrong(line, problem))?;
+        labels.add(folder, line, row, skipped).map_err(|problem| wrong(line, problem))?;
+    }
+    list_unlabelled(folder, &path, &labels.of_file, skipped);
+    labels.into_files(skipped).map_err(|(line, problem)| wrong(line, problem))
+}
 
-        let file = folder.join(name);
-        if !labels_of.contains_key(&file) {
-            files.push(file.clone());
+/// A line's cells.
+struct Row {
+    file: String,
+    person: u16,
+    session: String,
+    repetition: u32,
+    gesture: String,
+    start_sample: u64,
+    end_sample: Option<u64>,
+}
+
+impl Row {
+    fn read(columns: &BTreeMap<&str, usize>, record: &csv::StringRecord) -> Result<Row, LabelsProblem> {
+        let cell = |column: &str| columns.get(column).and_then(|&index| record.get(index)).unwrap_or("");
+        let number = |column: &'static str, largest: u64| {
+            let text = cell(column);
+            text.parse()
+                .ok()
+                .filter(|&number: &u64| number <= largest)
+                .ok_or_else(|| LabelsProblem::NotANumber { column, text: text.to_owned(), largest })
+        };
+        let sample = |column: &'static str| match cell(column) {
+            "" => Ok(None),
+            _ => number(column, u64::MAX).map(Some),
+        };
+        if cell("file").is_empty() {
+            return Err(LabelsProblem::NoFile);
         }
-        let labels = labels_of.entry(file.clone()).or_insert_with(|| Labels {
-            line,
+        let (person, repetition) =
+            (number("person", u16::MAX.into())? as u16, number("repetition", u8::MAX.into())? as u32);
+        let (start_sample, end_sample) = (sample("start_sample")?.unwrap_or(0), sample("end_sample")?);
+        if end_sample.is_some_and(|end| end <= start_sample) {
+            return Err(LabelsProblem::EndsBeforeStart { start_sample });
+        }
+        let session = if cell("session").is_empty() { ONLY_SESSION } else { cell("session") };
+        Ok(Row {
+            file: cell("file").to_owned(),
             person,
             session: session.to_owned(),
+            repetition,
+            gesture: cell("gesture").to_owned(),
+            start_sample,
+            end_sample,
+        })
+    }
+}
+
+/// The labels read so far, by file.
+#[derive(Default)]
+struct LabelsOfFiles {
+    /// In the order in which labels name them.
+    files: Vec<PathBuf>,
+    of_file: BTreeMap<PathBuf, Labels>,
+}
+
+impl LabelsOfFiles {
+    fn add(
+        &mut self,
+        folder: &Path,
+        line: u64,
+        row: Row,
+        skipped: &mut Vec<SkippedEntry>,
+    ) -> Result<(), LabelsProblem> {
+        let file = folder.join(&row.file);
+        if !self.of_file.contains_key(&file) {
+            self.files.push(file.clone());
+        }
+        let labels = self.of_file.entry(file.clone()).or_insert_with(|| Labels {
+            line,
+            person: row.person,
+            session: row.session.clone(),
             labels: Vec::new(),
         });
-        if (labels.person, labels.session.as_str()) != (person, session) {
-            return Err(wrong(
-                line,
-                format!(
-                    "{name} is of person {person}, session {session} here, but of person {}, session {} in line \
-                     {}: a file is one person's, made in one session",
-                    labels.person, labels.session, labels.line
-                ),
-            ));
+        if (labels.person, &labels.session) != (row.person, &row.session) {
+            return Err(LabelsProblem::OtherOrigin {
+                file: row.file,
+                person: row.person,
+                session: row.session,
+                first_person: labels.person,
+                first_session: labels.session.clone(),
+                first_line: labels.line,
+            });
         }
-        match cell("gesture").to_ascii_lowercase().parse::<Gesture>() {
+        let Row { repetition, start_sample, end_sample, .. } = row;
+        match row.gesture.to_ascii_lowercase().parse::<Gesture>() {
             Ok(gesture) => {
                 labels.labels.push(Label { line, repetition, gesture, start_sample, end_sample });
             }
             Err(_) => {
                 let known = Gesture::ALL.map(Gesture::name).join(", ");
                 let reason =
-                    format!("{FILE_NAME}, line {line}: gesture `{}` is none of {known}", cell("gesture"));
+                    format!("{FILE_NAME}, line {line}: gesture `{}` is none of {known}", row.gesture);
                 skipped.push(SkippedEntry { path: file, reason });
             }
         }
+        Ok(())
     }
 
-    list_unlabelled(folder, &path, &labels_of, skipped);
-    let mut labelled = Vec::new();
-    for file in files {
-        let Some(Labels { line, person, session, mut labels }) = labels_of.remove(&file) else { continue };
-        if !file.is_file() {
-            let reason = format!("{FILE_NAME}, line {line}, names it, but there is no such file");
-            skipped.push(SkippedEntry { path: file, reason });
-            continue;
-        }
-        labels.sort_by_key(|label| label.start_sample);
-        for pair in labels.windows(2) {
-            if pair[0].end_sample.is_none_or(|end| end > pair[1].start_sample) {
-                let (first, second) = (pair[0].line.min(pair[1].line), pair[0].line.max(pair[1].line));
-                let problem = format!("its trial and that of line {first} share samples of the same file");
-                return Err(wrong(second, problem));
+    /// The files with their trials in order; or the line that is wrong, and why.
+    fn into_files(
+        mut self,
+        skipped: &mut Vec<SkippedEntry>,
+    ) -> Result<Vec<LabelledFile>, (u64, LabelsProblem)> {
+        let mut labelled = Vec::new();
+        for file in self.files {
+            let Some(Labels { line, person, session, mut labels }) = self.of_file.remove(&file) else {
+                continue;
+            };
+            if !file.is_file() {
+                let reason = format!("{FILE_NAME}, line {line}, names it, but there is no such file");
+                skipped.push(SkippedEntry { path: file, reason });
+                continue;
+            }
+            labels.sort_by_key(|label| label.start_sample);
+            for pair in labels.windows(2) {
+                if pair[0].end_sample.is_none_or(|end| end > pair[1].start_sample) {
+                    let (first, second) = (pair[0].line.min(pair[1].line), pair[0].line.max(pair[1].line));
+                    return Err((second, LabelsProblem::Overlap { other_line: first }));
+                }
+            }
+            if !labels.is_empty() {
+                let segments = segments(&file, &labels);
+                labelled.push(LabelledFile { path: file, person, session, segments });
             }
         }
-        if !labels.is_empty() {
-            let segments = segments(&file, &labels);
-            labelled.push(LabelledFile { path: file, person, session, segments });
-        }
+        Ok(labelled)
     }
-    Ok(labelled)
 }
 
 /// Where each known column stands.
-fn columns_of(header: &csv::StringRecord) -> Result<BTreeMap<&'static str, usize>, String> {
+fn columns_of(header: &csv::StringRecord) -> Result<BTreeMap<&'static str, usize>, LabelsProblem> {
     let mut columns = BTreeMap::new();
     for (index, name) in header.iter().enumerate() {
         let Some(known) = COLUMNS.into_iter().find(|known| name.eq_ignore_ascii_case(known)) else {
-            return Err(format!("unknown column `{name}`: the columns are {}", COLUMNS.join(",")));
+            return Err(LabelsProblem::UnknownColumn { name: name.to_owned() });
         };
         if columns.insert(known, index).is_some() {
-            return Err(format!("column `{known}` is there twice: leave one out"));
+            return Err(LabelsProblem::ColumnTwice(known));
         }
     }
     match REQUIRED.into_iter().find(|required| !columns.contains_key(required)) {
-        Some(missing) => Err(format!("there is no column `{missing}`: begin with {}", COLUMNS.join(","))),
+        Some(name) => Err(LabelsProblem::MissingColumn { name }),
         None => Ok(columns),
     }
 }
@@ -243,7 +284,7 @@ fn list_unlabelled(
 }
 
 /// Whether a file's name is that of a table.
-pub(crate) fn is_table(path: &Path) -> bool {
+pub fn is_table(path: &Path) -> bool {
     path.extension().is_some_and(|extension| {
         ["csv", "tsv", "txt"].iter().any(|known| extension.eq_ignore_ascii_case(known))
     })

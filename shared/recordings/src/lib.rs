@@ -1,36 +1,36 @@
-//! EMG recordings: read without being loaded, replayed at a session's rate, cut into windows to train on.
+//! EMG recordings: read without being loaded, and replayed at a session's rate.
 //!
 //! ```text
 //! file ─▶ memory map ─▶ table (line by line) ─┐
 //! file ─▶ memory map ─▶ table                ─┴▶ source: frames + cue ─▶ replay: blocks at the session's rate
-//!                                                   │                      └─▶ dataset: windows.npy, labels.npy, …
+//! MAT-file ─▶ columns ──────────────────────────▶   │
 //!                                                   └─▶ check: the whole recording read once, refused or summed up
 //! ```
 //! A recording is one text file with a line a sample and a column a channel, or several that follow on
 //! without a gap, each with the *cue* its person was given: what can be replayed is in [`RecordingSource::open`].
-//! Data sets are also made of MAT-files and of tables with labels: see [`dataset::list`].
+//!
+//! How files lie on disk is a *layout*: [`three_dc`], [`ozdemir`], or tables with [`labels`]. A layout turns names and
+//! contents into [`Segment`]s, from which a [`RecordingSource`] is opened.
 //!
 //! Nothing is allocated a sample once a recording is open, and memory use does not grow with its length.
 #![deny(unsafe_code)]
 
-pub mod dataset;
+mod check;
 mod error;
-mod labels;
+pub mod labels;
 mod mapped;
 pub mod mat;
 pub mod npy;
-mod ozdemir;
+pub mod ozdemir;
 mod replay;
+mod segment;
 mod source;
-mod stored;
 pub mod table;
-mod three_dc;
+pub mod three_dc;
 
+pub use check::{CueSpan, Summary, check};
 pub use error::RecordingError;
 pub use replay::{ReplayBlock, ReplayStream};
-pub use source::{CueSpan, Frame, Notice, RecordingSettings, RecordingSource, Segment, Summary, check};
-pub use stored::{StoredDataset, StoredDatasetError};
+pub use segment::{Notice, Segment, SkippedEntry};
+pub use source::{Frame, RecordingSettings, RecordingSource};
 pub use table::Channel;
-pub use three_dc::{
-    SAMPLE_RATE_HZ as THREE_DC_SAMPLE_RATE_HZ, is_three_dc, repetitions as three_dc_repetitions,
-};

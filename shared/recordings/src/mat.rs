@@ -9,72 +9,16 @@
 //! A matrix is read column by column as it is decompressed: of one of 1280000 × 4 only the columns asked for come
 //! into memory, as `f32`.
 
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+mod element;
+mod problem;
+
+use std::io::{BufReader, Read, Seek, SeekFrom};
 
 use flate2::bufread::ZlibDecoder;
 
-/// What can be wrong with a MAT-file. Each message says what to do.
-#[derive(Debug, thiserror::Error)]
-pub enum MatError {
-    /// What the system says of the file.
-    #[error("cannot be read ({0}); check its permissions, or copy it again if it was cut off")]
-    Read(#[from] io::Error),
-    /// MATLAB 7.3 writes HDF5.
-    #[error(
-        "is of MATLAB 7.3 (HDF5), which is not read: load it in MATLAB and save it again with `save -v7`"
-    )]
-    Hdf5,
-    /// Something else.
-    #[error("is no MAT-file of level 5: save it with `save -v7`")]
-    NoMatFile,
-    /// Written on a machine of another byte order.
-    #[error("has its bytes in big-endian order: load it in MATLAB and save it again with `save -v7`")]
-    BigEndian,
-    /// Contents that contradict themselves.
-    #[error("is damaged: {0}; copy it again")]
-    Damaged(&'static str),
-    /// A variable that is not there.
-    #[error("has no variable `{name}` (it has: {})", .available.join(", "))]
-    NoVariable {
-        /// The variable asked for.
-        name: &'static str,
-        /// Those that are there.
-        available: Vec<String>,
-    },
-    /// A variable that is no matrix of real numbers.
-    #[error("variable `{name}` is {found}, not {expected}")]
-    Shape {
-        /// The variable.
-        name: &'static str,
-        /// What it is.
-        found: String,
-        /// What it should be.
-        expected: &'static str,
-    },
-    /// A column beyond the last one.
-    #[error("there is no channel {channel}: variable `{name}` has {columns} (channels 0 to {last})", last = .columns - 1)]
-    NoColumn {
-        /// The variable.
-        name: &'static str,
-        /// The channel asked for.
-        channel: usize,
-        /// Columns of the matrix.
-        columns: usize,
-    },
-    /// One column chosen twice.
-    #[error("channel {0} is chosen twice: choose each channel once")]
-    ChosenTwice(usize),
-    /// NaN, infinity, or a number too large for 32-bit floating point.
-    #[error(
-        "sample {row} of channel {column} is not finite: cut the recording there or choose other channels"
-    )]
-    NotFinite {
-        /// Row, counted from 0.
-        row: usize,
-        /// Column, counted from 0.
-        column: usize,
-    },
-}
+pub use problem::MatError;
+
+use element::{COMPRESSED, INT8, INT32, MATRIX, Tag, UINT32, Values, read};
 
 /// An open MAT-file.
 #[derive(Debug)]
@@ -94,19 +38,6 @@ struct Variable {
     /// Where its element begins in the file: the tag.
     position: u64,
 }
-
-const INT8: u32 = 1;
-const UINT8: u32 = 2;
-const INT16: u32 = 3;
-const UINT16: u32 = 4;
-const INT32: u32 = 5;
-const UINT32: u32 = 6;
-const SINGLE: u32 = 7;
-const DOUBLE: u32 = 9;
-const INT64: u32 = 12;
-const UINT64: u32 = 13;
-const MATRIX: u32 = 14;
-const COMPRESSED: u32 = 15;
 
 /// MATLAB allows names of 63 bytes; what is longer is damage.
 const MAX_NAME_BYTES: u32 = 1 << 12;
@@ -275,100 +206,6 @@ impl Variable {
         let name = String::from_utf8_lossy(&name.read_data(matrix)?).into_owned();
         Ok(Some(Variable { name, is_numeric: is_real && is_flat, rows, columns, position }))
     }
-}
-
-/// Type and length of what follows; up to four bytes follow within the tag itself.
-struct Tag {
-    kind: u32,
-    bytes: u32,
-    within: Option<[u8; 4]>,
-}
-
-impl Tag {
-    fn read(from: &mut (impl Read + ?Sized)) -> Result<Tag, MatError> {
-        let [a, b, c, d, e, f, g, h] = read::<8>(from)?;
-        let (kind, small_bytes) = (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
-        match small_bytes {
-            0 => {
-                let bytes = u32::from_le_bytes([e, f, g, h]);
-                Ok(Tag { kind: kind.into(), bytes, within: None })
-            }
-            1..=4 => Ok(Tag { kind: kind.into(), bytes: small_bytes.into(), within: Some([e, f, g, h]) }),
-            _ => Err(MatError::Damaged("an element has no type")),
-        }
-    }
-
-    /// The data and the padding to a multiple of eight after them. For short ones only.
-    fn read_data(&self, from: &mut dyn Read) -> Result<Vec<u8>, MatError> {
-        if let Some(within) = self.within {
-            return Ok(within[..self.bytes as usize].to_vec());
-        }
-        let mut data = vec![0; self.bytes.next_multiple_of(8) as usize];
-        from.read_exact(&mut data)?;
-        data.truncate(self.bytes as usize);
-        Ok(data)
-    }
-}
-
-/// The values of a matrix, one after the other.
-struct Values {
-    kind: u32,
-    bytes: u64,
-    within: Option<[u8; 4]>,
-}
-
-impl Values {
-    fn read_tag(matrix: &mut dyn Read) -> Result<Values, MatError> {
-        let Tag { kind, bytes, within } = Tag::read(matrix)?;
-        let values = Values { kind, bytes: bytes.into(), within };
-        match kind {
-            INT8 | UINT8 | INT16 | UINT16 | INT32 | UINT32 | SINGLE | DOUBLE | INT64 | UINT64 => Ok(values),
-            _ => Err(MatError::Damaged("values have no known type")),
-        }
-    }
-
-    /// Bytes of a value.
-    fn size(&self) -> usize {
-        match self.kind {
-            INT8 | UINT8 => 1,
-            INT16 | UINT16 => 2,
-            INT32 | UINT32 | SINGLE => 4,
-            _ => 8,
-        }
-    }
-
-    fn next(&mut self, matrix: &mut dyn Read) -> Result<f64, MatError> {
-        let mut bytes = [0; 8];
-        let bytes = &mut bytes[..self.size()];
-        match &mut self.within {
-            Some(within) => {
-                bytes.copy_from_slice(
-                    within.get(..bytes.len()).ok_or(MatError::Damaged("a value is too long"))?,
-                );
-                within.rotate_left(bytes.len());
-            }
-            None => matrix.read_exact(bytes)?,
-        }
-        Ok(match (self.kind, &*bytes) {
-            (INT8, &[a]) => f64::from(a as i8),
-            (UINT8, &[a]) => f64::from(a),
-            (INT16, &[a, b]) => f64::from(i16::from_le_bytes([a, b])),
-            (UINT16, &[a, b]) => f64::from(u16::from_le_bytes([a, b])),
-            (INT32, &[a, b, c, d]) => f64::from(i32::from_le_bytes([a, b, c, d])),
-            (UINT32, &[a, b, c, d]) => f64::from(u32::from_le_bytes([a, b, c, d])),
-            (SINGLE, &[a, b, c, d]) => f64::from(f32::from_le_bytes([a, b, c, d])),
-            (INT64, &[a, b, c, d, e, f, g, h]) => i64::from_le_bytes([a, b, c, d, e, f, g, h]) as f64,
-            (UINT64, &[a, b, c, d, e, f, g, h]) => u64::from_le_bytes([a, b, c, d, e, f, g, h]) as f64,
-            (_, &[a, b, c, d, e, f, g, h]) => f64::from_le_bytes([a, b, c, d, e, f, g, h]),
-            _ => return Err(MatError::Damaged("values have no known type")),
-        })
-    }
-}
-
-fn read<const N: usize>(from: &mut (impl Read + ?Sized)) -> Result<[u8; N], MatError> {
-    let mut bytes = [0; N];
-    from.read_exact(&mut bytes)?;
-    Ok(bytes)
 }
 
 #[cfg(test)]

@@ -16,11 +16,12 @@ use tendon_gesture::Gesture;
 
 use crate::error::RecordingError;
 use crate::mat::MatFile;
-use crate::source::{RecordingSource, Segment};
+use crate::segment::Segment;
+use crate::source::RecordingSource;
 use crate::table::Channel;
 
 /// Sampling rate of recordings that do not tell it, in Hz.
-pub(crate) const SAMPLE_RATE_HZ: f64 = 2000.0;
+pub const SAMPLE_RATE_HZ: f64 = 2000.0;
 
 const CYCLE_STARTS_S: [f64; 5] = [4.0, 138.0, 272.0, 406.0, 540.0];
 const GESTURE_INTERVAL_S: f64 = 10.0;
@@ -29,7 +30,7 @@ const GESTURE_S: f64 = 6.0;
 const GESTURES: u32 = 10;
 
 /// The gesture a number stands for; `None` for those that are none of ours.
-pub(crate) fn gesture(number: u32) -> Option<Gesture> {
+pub fn gesture(number: u32) -> Option<Gesture> {
     match number {
         0 => Some(Gesture::Rest),
         1 => Some(Gesture::Extension),
@@ -42,7 +43,7 @@ pub(crate) fn gesture(number: u32) -> Option<Gesture> {
 }
 
 /// Whether the folders of a file say that it was filtered; `None` if they do not say. The nearest one decides.
-pub(crate) fn is_filtered(path: &Path) -> Option<bool> {
+pub fn is_filtered(path: &Path) -> Option<bool> {
     path.ancestors().skip(1).find_map(|folder| {
         let name = folder.file_name()?.to_str()?.to_ascii_lowercase();
         match name.as_str() {
@@ -54,7 +55,10 @@ pub(crate) fn is_filtered(path: &Path) -> Option<bool> {
 }
 
 /// Whose recording a `.mat` file is: its variable `iD` if that is a number, else the only number in its name.
-pub(crate) fn person(file: &Path) -> Result<Option<u16>, RecordingError> {
+///
+/// # Errors
+/// When the file is no MAT-file or is damaged.
+pub fn person(file: &Path) -> Result<Option<u16>, RecordingError> {
     let id = open_mat(file)?.number("iD").map_err(RecordingError::mat(file))?;
     if let Some(id) = id.filter(|id| id.fract() == 0.0 && (0.0..=f64::from(u16::MAX)).contains(id)) {
         return Ok(Some(id as u16));
@@ -69,7 +73,10 @@ pub(crate) fn person(file: &Path) -> Result<Option<u16>, RecordingError> {
 }
 
 /// Opens a person's `.mat` file. `given_hz` is the rate the user says, if any.
-pub(crate) fn open(
+///
+/// # Errors
+/// When the file cannot be read, lacks a channel, or has another rate than `given_hz`.
+pub fn open(
     file: &Path,
     channels: &[Channel],
     given_hz: Option<f64>,
@@ -125,15 +132,18 @@ fn segments(file: &Path, sample_rate_hz: f64) -> Vec<Segment> {
 
 /// Which trial a file of its own is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Trial {
-    pub(crate) person: u16,
-    pub(crate) cycle: u8,
-    pub(crate) gesture: u32,
+pub struct Trial {
+    /// Number of the person.
+    pub person: u16,
+    /// Cycle, from 0.
+    pub cycle: u8,
+    /// The data set's number of the gesture.
+    pub gesture: u32,
 }
 
 /// Reads a trial from the name of its file: `P3_C0_G5.csv` or `participant3_cycle0_gesture5.csv`, in any case, the
 /// three parts in any order, `_` or `-` between them. `person` is as good as `participant`.
-pub(crate) fn trial_of_name(file: &Path) -> Option<Trial> {
+pub fn trial_of_name(file: &Path) -> Option<Trial> {
     if !file.extension()?.eq_ignore_ascii_case("csv") {
         return None;
     }

@@ -91,7 +91,10 @@ impl ReplayStream {
     }
 
     /// As [`ReplayStream::open`], for a recording that is open already.
-    pub(crate) fn of(
+    ///
+    /// # Errors
+    /// When the recording's rate cannot be brought to `sample_rate_hz`.
+    pub fn of(
         source: RecordingSource,
         sample_rate_hz: f64,
         block_samples: usize,

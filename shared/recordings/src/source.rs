@@ -1,13 +1,13 @@
 //! A recording as a stream of frames: one sample of every chosen channel, and the cue in force.
 
-use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 
 use crate::error::RecordingError;
 use crate::mapped::MappedFile;
+use crate::segment::{Notice, Segment};
 use crate::table::{Channel, Table};
 use crate::three_dc;
 
@@ -27,50 +27,6 @@ pub struct RecordingSettings {
     /// Of a 3DC folder, only this repetition; all in order if not given.
     #[serde(default)]
     pub repetition: Option<u32>,
-}
-
-/// A file of a recording, or a part of one.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Segment {
-    /// The file.
-    pub file: PathBuf,
-    /// Repetition that the segment is a trial of; `None` of a plain table and of what lies between trials.
-    pub repetition: Option<u32>,
-    /// What the person was asked to do; `None` if unknown or none of ours.
-    pub cue: Option<Gesture>,
-    /// Index within the file of the first sample that is no longer of this segment, at the recording's rate;
-    /// `None` if it lasts to the end of the file.
-    pub end_sample: Option<u64>,
-}
-
-/// Something about a recording that does not keep it from being read, but that its user should know.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Notice {
-    /// A repetition lacks a file: what is before and after it is not continuous.
-    MissingFile {
-        /// The file that is not there.
-        file: PathBuf,
-    },
-    /// A folder lacks a repetition between others.
-    MissingRepetition {
-        /// The folder.
-        folder: PathBuf,
-        /// The repetition that is not there.
-        repetition: u32,
-    },
-}
-
-impl fmt::Display for Notice {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Notice::MissingFile { file } => {
-                write!(formatter, "{} is missing: the recording jumps there", file.display())
-            }
-            Notice::MissingRepetition { folder, repetition } => {
-                write!(formatter, "{} has no repetition {repetition}", folder.display())
-            }
-        }
-    }
 }
 
 /// What [`RecordingSource::next_frame`] says beside the samples.
@@ -127,7 +83,10 @@ impl RecordingSource {
     }
 
     /// Opens the text files that `segments` name, at least one.
-    pub(crate) fn of_table(
+    ///
+    /// # Errors
+    /// When the first file cannot be opened or lacks a channel.
+    pub fn of_table(
         segments: Vec<Segment>,
         channels: &[Channel],
         sample_rate_hz: f64,
@@ -155,7 +114,7 @@ impl RecordingSource {
     }
 
     /// Frames read so far of the file that is being read.
-    pub(crate) fn position(&self) -> u64 {
+    pub fn position(&self) -> u64 {
         self.position
     }
 
@@ -172,6 +131,14 @@ impl RecordingSource {
     /// The files of the recording in order; at least one.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
+    }
+
+    /// Columns of the current file, chosen or not.
+    pub(crate) fn file_channels(&self) -> usize {
+        match &self.samples {
+            Samples::Table { table, .. } => table.columns(),
+            Samples::Columns(columns) => columns.len(),
+        }
     }
 
     /// What its user should know, found when it was opened.
@@ -350,64 +317,4 @@ fn sample_rate(path: &Path, known_hz: Option<f64>, given_hz: Option<f64>) -> Res
         (None, Some(hz)) => Err(tendon_signal::DesignError::SampleRate(hz).into()),
         (None, None) => Err(RecordingError::SampleRateMissing { file: path.to_owned() }),
     }
-}
-
-/// What a whole recording holds.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Summary {
-    /// Samples of each channel.
-    pub samples: u64,
-    /// Sampling rate in Hz.
-    pub sample_rate_hz: f64,
-    /// Length in seconds.
-    pub duration_s: f64,
-    /// Columns of the first file, chosen or not.
-    pub file_channels: usize,
-    /// The files in order, with their cues.
-    pub cues: Vec<CueSpan>,
-    /// What its user should know.
-    pub notices: Vec<Notice>,
-}
-
-/// The part of a recording that one segment, and so one cue, holds.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CueSpan {
-    /// The segment and its cue.
-    pub segment: Segment,
-    /// Index of its first sample.
-    pub first_sample: u64,
-    /// Its samples.
-    pub samples: u64,
-}
-
-/// Reads the whole recording once, so that a bad one is refused before anything starts.
-///
-/// # Errors
-/// The first thing that is wrong with it.
-pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, RecordingError> {
-    let mut source = RecordingSource::open(path, settings)?;
-    let mut frames = vec![0.0; FRAMES_AT_ONCE * source.channels()];
-    let mut counts = vec![0_u64; source.segments().len()];
-    while let Some((count, Frame { segment, .. })) = source.next_frames(&mut frames)? {
-        counts[segment] += count as u64;
-    }
-    let mut samples = 0;
-    let cues = source.segments.iter().zip(counts).map(|(segment, count)| {
-        let span = CueSpan { segment: segment.clone(), first_sample: samples, samples: count };
-        samples += count;
-        span
-    });
-    let cues = cues.collect();
-    let sample_rate_hz = source.sample_rate_hz;
-    Ok(Summary {
-        samples,
-        sample_rate_hz,
-        duration_s: samples as f64 / sample_rate_hz,
-        file_channels: match &source.samples {
-            Samples::Table { table, .. } => table.columns(),
-            Samples::Columns(columns) => columns.len(),
-        },
-        cues,
-        notices: source.notices,
-    })
 }

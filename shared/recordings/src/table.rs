@@ -15,256 +15,17 @@
 //! A [`Table`] is only a place in a text: the text itself is handed to each call, so that a memory map, a
 //! slice in a test and a fuzzer's bytes are read by the same code.
 
+mod cells;
+mod channel;
 mod counts;
+mod problem;
 
-use std::fmt;
+pub use channel::Channel;
+pub use problem::{TableError, TableProblem};
 
-use serde::{Deserialize, Serialize};
-
-/// A channel the caller chooses: by column, counted from 0, or by the name a header line gives it.
-///
-/// In a configuration file: `channels = [0, 3, 5, 8]` or `channels = ["EMG_zyg", "EMG_cor"]`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum Channel {
-    /// Column number, counted from 0.
-    Index(usize),
-    /// Name in the header line.
-    Name(String),
-}
-
-impl From<usize> for Channel {
-    fn from(index: usize) -> Channel {
-        Channel::Index(index)
-    }
-}
-
-impl From<&str> for Channel {
-    fn from(name: &str) -> Channel {
-        Channel::Name(name.to_owned())
-    }
-}
-
-impl fmt::Display for Channel {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Channel::Index(index) => write!(formatter, "{index}"),
-            Channel::Name(name) => write!(formatter, "`{name}`"),
-        }
-    }
-}
-
-/// A place in a table that cannot be read, and why.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}, column {column}: {problem}")]
-pub struct TableError {
-    /// Line, counted from 1; a header line counts.
-    pub line: u64,
-    /// Column, counted from 1: column 1 is channel 0. Where values are missing, the first missing one.
-    pub column: usize,
-    /// What is wrong there and what to do.
-    pub problem: TableProblem,
-}
-
-/// What can be wrong with a place in a table. Each message says what to do.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum TableProblem {
-    /// There is no line with numbers.
-    #[error("the file has no samples: record it again or leave it out")]
-    Empty,
-    /// A blank line with samples after it.
-    #[error("blank line before the end: delete it, or cut the file in two if samples were lost here")]
-    BlankLine,
-    /// More or fewer values than line 1 has.
-    #[error(
-        "expected {expected} values as in line 1, found {found}: complete or delete this line \
-         (deleting shortens the recording by one sample)"
-    )]
-    Ragged {
-        /// Values in line 1.
-        expected: usize,
-        /// Values in this line.
-        found: usize,
-    },
-    /// The last line has no newline and is incomplete: the file was cut off while it was written.
-    #[error(
-        "the file is truncated: its last line ends after {found} of {expected} values; \
-         delete that line or copy the file again"
-    )]
-    Truncated {
-        /// Values in line 1.
-        expected: usize,
-        /// Values that are complete.
-        found: usize,
-    },
-    /// Nothing between two separators.
-    #[error("empty cell: fill in the sample or cut the recording here")]
-    EmptyCell,
-    /// A word that stands for a missing sample, such as `NULL`.
-    #[error("missing sample `{0}`: cut the recording here, or fill the gap before replaying it")]
-    MissingSample(String),
-    /// NaN, infinity, or a number too large for 32-bit floating point.
-    #[error("`{0}` is not a finite sample: cut the recording here or choose other channels")]
-    NotFinite(String),
-    /// Text where a number belongs.
-    #[error(
-        "`{0}` is not a number: samples are written like -12 or 0.5e-3, with a point as decimal sign; \
-         choose other channels if this column holds no samples"
-    )]
-    NotANumber(String),
-    /// Bytes that are not UTF-8 text, or control characters.
-    #[error("binary or non-UTF-8 bytes: save the recording as UTF-8 text, one line a sample")]
-    NotText,
-    /// No channel was chosen.
-    #[error("no channel is chosen: choose at least one of the {columns} (channels 0 to {last})", last = .columns - 1)]
-    NoChannels {
-        /// Columns of the file.
-        columns: usize,
-    },
-    /// A chosen column number beyond the last column.
-    #[error("there is no channel {channel}: the file has {columns} (channels 0 to {last})", last = .columns - 1)]
-    MissingChannel {
-        /// The channel asked for.
-        channel: usize,
-        /// Columns of the file.
-        columns: usize,
-    },
-    /// A chosen name that the header line does not hold.
-    #[error("there is no channel named `{name}`: {}", available(.names))]
-    MissingName {
-        /// The name asked for.
-        name: String,
-        /// The names of the header line; empty when there is none.
-        names: Vec<String>,
-    },
-    /// A chosen name that the header line holds twice.
-    #[error("two columns are named `{0}`: choose by column number instead")]
-    AmbiguousName(String),
-    /// One column chosen twice.
-    #[error("channel {0} is chosen twice: choose each channel once")]
-    ChosenTwice(usize),
-}
-
-fn available(names: &[String]) -> String {
-    if names.is_empty() {
-        "the file has no header line; choose by column number, counted from 0".to_owned()
-    } else {
-        format!("choose among {}", names.join(", "))
-    }
-}
-
-/// What ends a cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Separator {
-    Byte(u8),
-    Blanks,
-}
-
-impl Separator {
-    fn of_line(line: &[u8]) -> Separator {
-        [b'\t', b';', b',']
-            .into_iter()
-            .find(|byte| line.contains(byte))
-            .map_or(Separator::Blanks, Separator::Byte)
-    }
-}
-
-/// The cells of one line, without the blanks around them.
-struct Cells<'line> {
-    rest: Option<&'line [u8]>,
-    separator: Separator,
-}
-
-impl<'line> Cells<'line> {
-    fn of(line: &'line [u8], separator: Separator) -> Cells<'line> {
-        let line = match separator {
-            Separator::Byte(_) => line,
-            Separator::Blanks => line.trim_ascii(),
-        };
-        Cells { rest: Some(line), separator }
-    }
-}
-
-impl<'line> Iterator for Cells<'line> {
-    type Item = &'line [u8];
-
-    #[inline]
-    fn next(&mut self) -> Option<&'line [u8]> {
-        let rest = self.rest?;
-        let end = match self.separator {
-            Separator::Byte(separator) => rest.iter().position(|&byte| byte == separator),
-            Separator::Blanks => rest.iter().position(u8::is_ascii_whitespace),
-        };
-        let Some(end) = end else {
-            self.rest = None;
-            return Some(rest.trim_ascii());
-        };
-        let after = &rest[end + 1..];
-        self.rest = Some(match self.separator {
-            Separator::Byte(_) => after,
-            Separator::Blanks => after.trim_ascii_start(),
-        });
-        Some(rest[..end].trim_ascii())
-    }
-}
-
-/// The sample in a cell, `None` where there is no finite number.
-#[inline]
-fn sample(cell: &[u8]) -> Option<f32> {
-    // Counts need no general parser here either: up to seven digits are exact in an f32 (below 2^24).
-    let (negative, digits) = match cell {
-        [b'-', digits @ ..] => (true, digits),
-        digits => (false, digits),
-    };
-    if (1..=7).contains(&digits.len()) && digits.iter().all(u8::is_ascii_digit) {
-        let magnitude = digits.iter().fold(0_u32, |sum, digit| sum * 10 + u32::from(digit - b'0')) as f32;
-        return Some(if negative { -magnitude } else { magnitude });
-    }
-    fast_float2::parse::<f32, _>(cell).ok().filter(|value| value.is_finite())
-}
-
-/// Whether a cell is a word by which tools write a missing sample.
-fn is_missing_sample(cell: &[u8]) -> bool {
-    ["null", "na", "n/a", "none", "-"].iter().any(|word| cell.eq_ignore_ascii_case(word.as_bytes()))
-}
-
-/// Whether bytes are UTF-8 without control characters.
-fn is_text(line: &[u8]) -> bool {
-    std::str::from_utf8(line)
-        .is_ok_and(|text| !text.chars().any(|character| character.is_control() && character != '\t'))
-}
-
-/// A cell as an error message shows it: the first 24 characters.
-fn excerpt(cell: &[u8]) -> String {
-    String::from_utf8_lossy(cell).chars().take(24).collect()
-}
-
-/// One line of a text, without its newline.
-struct Line<'text> {
-    content: &'text [u8],
-    /// Where the next line starts.
-    next: usize,
-    /// Whether a newline ends it.
-    terminated: bool,
-}
-
-/// The line starting at `start`, `None` at the end of the text.
-#[inline]
-fn line_at(text: &[u8], start: usize) -> Option<Line<'_>> {
-    let rest = text.get(start..).filter(|rest| !rest.is_empty())?;
-    let (content, next, terminated) = match rest.iter().position(|&byte| byte == b'\n') {
-        Some(end) => (&rest[..end], start + end + 1, true),
-        None => (rest, text.len(), false),
-    };
-    Some(Line { content: content.strip_suffix(b"\r").unwrap_or(content), next, terminated })
-}
-
-/// Spreadsheet programs write this mark before UTF-8 text.
-const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
-
-fn text_start(text: &[u8]) -> usize {
-    if text.starts_with(BYTE_ORDER_MARK) { BYTE_ORDER_MARK.len() } else { 0 }
-}
+use cells::{Cells, Line, Separator, excerpt, is_missing_sample, is_text, line_at, sample, text_start};
+use channel::places;
+use problem::error_at;
 
 /// How a text table is laid out, which of its columns are wanted, and how far it has been read.
 #[derive(Clone, Debug)]
@@ -425,10 +186,6 @@ impl Table {
     }
 }
 
-fn error_at(line: u64, column: usize, problem: TableProblem) -> TableError {
-    TableError { line, column, problem }
-}
-
 /// Where the first line starts, if there is anything to read.
 fn first_line_start(text: &[u8]) -> Result<usize, TableError> {
     let start = text_start(text);
@@ -439,39 +196,6 @@ fn first_line_start(text: &[u8]) -> Result<usize, TableError> {
         Some(line) if line.content.trim_ascii().is_empty() => Err(error_at(1, 1, TableProblem::BlankLine)),
         _ => Ok(start),
     }
-}
-
-/// For each column its place in a frame of `channels`, if chosen.
-fn places(channels: &[Channel], columns: usize, names: &[String]) -> Result<Vec<Option<usize>>, TableError> {
-    if channels.is_empty() {
-        return Err(error_at(1, 1, TableProblem::NoChannels { columns }));
-    }
-    let mut places = vec![None; columns];
-    for (place, channel) in channels.iter().enumerate() {
-        let column = match channel {
-            Channel::Index(index) => *index,
-            Channel::Name(name) => {
-                let mut found = names.iter().enumerate().filter(|(_, candidate)| *candidate == name);
-                let Some((column, _)) = found.next() else {
-                    let problem = TableProblem::MissingName { name: name.clone(), names: names.to_vec() };
-                    return Err(error_at(1, 1, problem));
-                };
-                if let Some((second, _)) = found.next() {
-                    return Err(error_at(1, second + 1, TableProblem::AmbiguousName(name.clone())));
-                }
-                column
-            }
-        };
-        match places.get_mut(column) {
-            None => {
-                let problem = TableProblem::MissingChannel { channel: column, columns };
-                return Err(error_at(1, column.saturating_add(1), problem));
-            }
-            Some(Some(_)) => return Err(error_at(1, column + 1, TableProblem::ChosenTwice(column))),
-            Some(free) => *free = Some(place),
-        }
-    }
-    Ok(places)
 }
 
 #[cfg(test)]

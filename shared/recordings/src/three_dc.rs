@@ -23,13 +23,16 @@ pub(crate) const GESTURES: u32 = 11;
 
 /// When a 3DC recording was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Session {
+pub enum Session {
+    /// First, four repetitions.
     Train,
+    /// Five minutes later, four repetitions.
     Test,
 }
 
 impl Session {
-    pub(crate) fn name(self) -> &'static str {
+    /// Its folder's name: `train` or `test`.
+    pub fn name(self) -> &'static str {
         match self {
             Session::Train => "train",
             Session::Test => "test",
@@ -37,7 +40,7 @@ impl Session {
     }
 
     /// Repetitions of the person before this session: each has four.
-    pub(crate) fn repetitions_before(self) -> u32 {
+    pub fn repetitions_before(self) -> u32 {
         match self {
             Session::Train => 0,
             Session::Test => 4,
@@ -46,7 +49,7 @@ impl Session {
 }
 
 /// Person and session of a folder `…/ParticipantP/{train,test}/EMG`.
-pub(crate) fn origin(folder: &Path) -> Option<(u16, Session)> {
+pub fn origin(folder: &Path) -> Option<(u16, Session)> {
     let session_folder = folder.parent()?;
     let session = match session_folder.file_name()?.to_str()? {
         "train" => Session::Train,
@@ -58,7 +61,7 @@ pub(crate) fn origin(folder: &Path) -> Option<(u16, Session)> {
 }
 
 /// Repetition and gesture number in a file's name, if it is a 3DC recording's.
-pub(crate) fn parse_file_name(path: &Path) -> Option<(u32, u32)> {
+pub fn parse_file_name(path: &Path) -> Option<(u32, u32)> {
     let numbers = path.file_name()?.to_str()?.strip_prefix("3dc_EMG_gesture_")?.strip_suffix(".txt")?;
     let (repetition, gesture) = numbers.split_once('_')?;
     Some((repetition.parse().ok()?, gesture.parse().ok().filter(|&gesture| gesture < GESTURES)?))
@@ -84,7 +87,10 @@ pub(crate) fn gesture(number: u32) -> Option<Gesture> {
 }
 
 /// The recordings in an EMG folder: by repetition, then by gesture number. Empty if it holds none.
-pub(crate) fn list(folder: &Path) -> Result<BTreeMap<u32, BTreeMap<u32, PathBuf>>, RecordingError> {
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn list(folder: &Path) -> Result<BTreeMap<u32, BTreeMap<u32, PathBuf>>, RecordingError> {
     let mut repetitions: BTreeMap<u32, BTreeMap<u32, PathBuf>> = BTreeMap::new();
     for entry in fs::read_dir(folder).map_err(RecordingError::open(folder))? {
         let path = entry.map_err(RecordingError::open(folder))?.path();

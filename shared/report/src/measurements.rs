@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use hdrhistogram::Histogram;
 use tendon_gesture::Gesture;
-use tendon_messages::{Measurement, MeasurementHeader, STAGE_COUNT, Stage};
+use tendon_messages::{Measured, Measurement, MeasurementHeader, MessageTimes, STAGE_COUNT, Stage};
 
 /// Longest duration a histogram tells apart from longer ones, ns.
 const LONGEST_NS: u64 = 60_000_000_000;
@@ -141,7 +141,7 @@ impl Default for SessionMeasurements {
 impl SessionMeasurements {
     /// Takes a batch of a stage's measurements. Batches of a stage that does not exist are passed over.
     pub fn absorb(&mut self, header: &MeasurementHeader, batch: &[Measurement]) {
-        let Some(stage) = Stage::from_index(header.stage.into()) else {
+        let Some(stage) = Stage::from_number(header.stage) else {
             return;
         };
         let kept = &mut self.stages[stage.index()];
@@ -167,27 +167,41 @@ impl SessionMeasurements {
         if let (Some(when_warm), false) = (kept.allocations_when_warm, self.is_ending) {
             kept.allocations = header.allocations - when_warm;
         }
-        for measurement in batch {
-            if measurement.tick_lateness_ns > 0 {
-                self.control_tick.saturating_record(measurement.tick_lateness_ns);
-                continue;
+        for measured in batch.iter().filter_map(Measurement::measured) {
+            self.record(stage, measured);
+        }
+    }
+
+    fn record(&mut self, stage: Stage, measured: Measured) {
+        let times = match measured {
+            Measured::ControlTick { late_ns } => return self.control_tick.saturating_record(late_ns),
+            Measured::CommandToWire { took_ns } => return self.command_to_wire.saturating_record(took_ns),
+            Measured::Message(times) => times,
+            Measured::Decision { times, window_start_to_publish_ns, truth, gesture } => {
+                self.record_command(times, window_start_to_publish_ns, truth, gesture);
+                times
             }
-            if measurement.command_to_wire_ns > 0 {
-                self.command_to_wire.saturating_record(measurement.command_to_wire_ns);
-                continue;
-            }
-            if stage.upstream().is_some() {
-                kept.transit.saturating_record(measurement.transit_ns);
-            }
-            kept.work.saturating_record(measurement.work_ns);
-            if stage == Stage::Decision && measurement.newest_sample_to_publish_ns > 0 {
-                self.newest_sample_to_command.saturating_record(measurement.newest_sample_to_publish_ns);
-                self.window_start_to_command.record(measurement.window_start_to_publish_ns);
-                let truth = self.recognised.get_mut(usize::from(measurement.truth));
-                if let Some(count) = truth.and_then(|row| row.get_mut(usize::from(measurement.gesture))) {
-                    *count += 1;
-                }
-            }
+        };
+        let kept = &mut self.stages[stage.index()];
+        if stage.upstream().is_some() {
+            kept.transit.saturating_record(times.transit_ns);
+        }
+        kept.work.saturating_record(times.work_ns);
+    }
+
+    fn record_command(
+        &mut self,
+        times: MessageTimes,
+        window_start_to_publish_ns: u64,
+        truth: Option<u8>,
+        gesture: u8,
+    ) {
+        let Some(newest_sample_to_publish_ns) = times.newest_sample_to_publish_ns else { return };
+        self.newest_sample_to_command.saturating_record(newest_sample_to_publish_ns);
+        self.window_start_to_command.record(window_start_to_publish_ns);
+        let row = truth.and_then(|truth| self.recognised.get_mut(usize::from(truth)));
+        if let Some(count) = row.and_then(|row| row.get_mut(usize::from(gesture))) {
+            *count += 1;
         }
     }
 
@@ -248,7 +262,7 @@ mod tests {
 
     fn header(stage: Stage, process_id: u64, received: u64, published: u64) -> MeasurementHeader {
         MeasurementHeader {
-            stage: stage.index() as u8,
+            stage: stage.number(),
             process_id,
             received,
             published,
@@ -309,8 +323,9 @@ mod tests {
     #[test]
     fn what_no_stage_of_ours_sent_is_passed_over() {
         let mut session = SessionMeasurements::default();
-        let wild =
-            Measurement { truth: 77, gesture: 200, newest_sample_to_publish_ns: 5, ..Measurement::default() };
+        let times = MessageTimes { newest_sample_to_publish_ns: Some(5), ..MessageTimes::default() };
+        let wild = Measured::Decision { times, window_start_to_publish_ns: 9, truth: Some(77), gesture: 200 };
+        let wild = wild.into();
         session.absorb(&MeasurementHeader { stage: 9, ..MeasurementHeader::default() }, &[wild]);
         session.absorb(&header(Stage::Decision, 1, 1, 1), &[wild]);
         assert_eq!(session.recognised, <[[u64; 6]; 6]>::default());

@@ -316,25 +316,22 @@ impl Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tendon_messages::{Measurement, MeasurementHeader};
+    use tendon_messages::{Measured, MeasurementHeader, MessageTimes};
 
     #[test]
     fn the_report_has_the_keys_that_other_programs_read() {
         let mut measurements = SessionMeasurements::default();
         let decision = MeasurementHeader {
-            stage: Stage::Decision.index() as u8,
+            stage: Stage::Decision.number(),
             received: 2,
             published: 2,
             ..MeasurementHeader::default()
         };
-        let seen = |gesture: Gesture| Measurement {
-            transit_ns: 20_000,
-            work_ns: 5_000,
-            newest_sample_to_publish_ns: 400_000,
-            window_start_to_publish_ns: 300_000_000,
-            truth: Gesture::Extension as u8,
-            gesture: gesture as u8,
-            ..Measurement::default()
+        let times =
+            MessageTimes { transit_ns: 20_000, work_ns: 5_000, newest_sample_to_publish_ns: Some(400_000) };
+        let seen = |gesture: Gesture| {
+            let (truth, gesture) = (Some(Gesture::Extension as u8), gesture as u8);
+            Measured::Decision { times, window_start_to_publish_ns: 300_000_000, truth, gesture }.into()
         };
         measurements.absorb(&decision, &[seen(Gesture::Extension), seen(Gesture::Grip)]);
         let report = Report::new(SessionFacts::default(), &measurements);

@@ -23,14 +23,10 @@ fn main() -> Result<(), tendon_signal::DesignError> {
             }
             let was_calibrating = chain.baselines().is_none();
             let start = Instant::now();
-            let mut from = 0;
-            while from < SAMPLES {
-                let push = chain.push(&block, from);
-                from += push.consumed;
-                if push.window.is_some() {
-                    chain.write_window(&mut window);
-                }
-            }
+            let Ok(_) = chain.push_block(&block, |chain, _, _| {
+                chain.write_window(&mut window);
+                Ok::<(), std::convert::Infallible>(())
+            });
             work_us.push(start.elapsed().as_secs_f64() * 1e6);
             if was_calibrating && chain.baselines().is_some() {
                 calibration_us = work_us.pop().unwrap_or_default();

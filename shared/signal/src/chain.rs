@@ -70,16 +70,12 @@ pub struct Push {
 /// # use tendon_signal::{SignalChain, SignalSettings};
 /// let mut chain = SignalChain::new(&SignalSettings::default(), 4, 2000.0)?;
 /// let mut out = vec![0.0; chain.window_len()];
-/// let block = [0.0; 4 * 1000];
-/// let (samples, mut from, mut windows) = (1000, 0, 0);
-/// while from < samples {
-///     let push = chain.push(&block, from);
-///     from += push.consumed;
-///     if push.window.is_some() {
-///         chain.write_window(&mut out);
-///         windows += 1;
-///     }
-/// }
+/// let mut windows = 0;
+/// let Ok(_) = chain.push_block(&[0.0; 4 * 1000], |chain, _, _| {
+///     chain.write_window(&mut out);
+///     windows += 1;
+///     Ok::<(), std::convert::Infallible>(())
+/// });
 /// assert_eq!(windows, 3);
 /// # Ok::<(), tendon_signal::DesignError>(())
 /// ```
@@ -186,6 +182,35 @@ impl SignalChain {
             replaced_samples: self.windower.replaced_samples(),
         });
         Push { consumed, replaced_samples, activity, window }
+    }
+
+    /// Takes all of `block`, `[channels × samples]`. Calls `on_window` at each window that it completes, with the
+    /// chain, which can write it then, the window, and how many of the block's samples belong to it or to what came
+    /// before. Gives how many samples of the block, over all channels, were not usable and replaced.
+    ///
+    /// # Errors
+    /// The first that `on_window` gives. What follows in the block is then not taken.
+    ///
+    /// # Panics
+    /// As [`SignalChain::push`]. An empty block is none.
+    pub fn push_block<E>(
+        &mut self,
+        block: &[f32],
+        mut on_window: impl FnMut(&SignalChain, Window, usize) -> Result<(), E>,
+    ) -> Result<u32, E> {
+        let samples = block.len() / self.channels;
+        let (mut end, mut replaced_samples) = (0, 0);
+        loop {
+            let push = self.push(block, end);
+            end += push.consumed;
+            replaced_samples += push.replaced_samples;
+            if let Some(window) = push.window {
+                on_window(self, window, end)?;
+            }
+            if end == samples {
+                return Ok(replaced_samples);
+            }
+        }
     }
 
     /// Writes the window that the last [`SignalChain::push`] completed as `[channels × window]`, filtered.

@@ -7,6 +7,7 @@
 //!                                      |~~search~~|  or at a percentile of the envelope's peaks
 //! ```
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::activity::Baseline;
@@ -14,7 +15,7 @@ use crate::envelope::{DEFAULT_ENVELOPE_MS, Envelope};
 use crate::error::{DesignError, samples_of};
 
 /// Where the threshold comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum OnsetMethod {
     /// Median + k σ of the recording's start, σ = 1.4826 MAD: the method that the paper chose.

@@ -9,18 +9,19 @@
 
 use std::ops::Range;
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::error::DesignError;
 
 /// What windows hold.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum WindowInput {
     /// The filtered signal. Live windows are always that.
     #[default]
     Raw,
-    /// Its moving RMS.
+    /// Its moving RMS over 25 ms.
     Envelope,
 }
 

@@ -3,7 +3,7 @@
 //! ```text
 //!  publisher process                shared memory                     subscriber process
 //!  Publisher::publish ──loan, fill in place──▶ [header | payload] ◀──read in place── Subscriber::receive
-//!          └───────── event: "there is something" ───────────────────▶ its one blocking wait
+//!          └───────── a byte into the subscriber's FIFO ─────────────▶ its one blocking wait
 //! ```
 //!
 //! * A message is written once, in place, and read in place: nothing is copied or serialised on the way.
@@ -11,12 +11,14 @@
 //!   and the subscriber counts the gaps.
 //! * [`Delivery::Live`] keeps the newest messages for a slow subscriber and never holds up the publisher;
 //!   [`Delivery::Lossless`] makes the publisher wait and loses nothing.
+//! * No wake-up is ever lost: the head of `wake.rs` says why.
 //! * Everything lives under a [`SessionName`], so that two sessions on one machine never meet.
 
 mod clock;
 mod publisher;
 mod session;
 mod subscriber;
+mod wake;
 
 pub use clock::now_ns;
 pub use publisher::{Element, Loan, PublishError, Publisher};

@@ -4,7 +4,6 @@ use core::fmt::Debug;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher as Port;
 use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::{BackpressureStrategy, ZeroCopySend, ipc};
@@ -13,6 +12,7 @@ use tendon_messages::{Measurement, Stage, Topic, Traced};
 
 use crate::clock::now_ns;
 use crate::session::{Delivery, Session, SessionError};
+use crate::wake::Waker;
 
 /// What a payload may consist of.
 ///
@@ -75,7 +75,7 @@ pub struct Publisher<H: Traced, E: Element> {
     topic: &'static str,
     stage: Option<Stage>,
     port: Port<ipc::Service, [E], H>,
-    notifier: Notifier<ipc::Service>,
+    waker: Waker,
     maximum_length: usize,
     next_sequence: u64,
     stop: Arc<AtomicBool>,
@@ -113,18 +113,14 @@ impl<H: Traced, E: Element> Publisher<H, E> {
                 }),
         };
         let port = builder.create().map_err(|error| session.port_error(topic.name, &error))?;
-        let notifier = session
-            .event(topic.name)?
-            .notifier_builder()
-            .create()
-            .map_err(|error| session.port_error(topic.name, &error))?;
+        let mut waker = Waker::open(session, topic.name)?;
         // Subscribers that were there before connect now.
-        notifier.notify().map_err(|error| session.port_error(topic.name, &error))?;
+        waker.wake();
         Ok(Publisher {
             topic: topic.name,
             stage: topic.publisher,
             port,
-            notifier,
+            waker,
             maximum_length,
             next_sequence: 0,
             stop,
@@ -187,7 +183,7 @@ impl<H: Traced, E: Element> Publisher<H, E> {
             return Err(self.transport_error(&error));
         }
         self.next_sequence += 1;
-        self.notifier.notify().map_err(|error| self.transport_error(&error))?;
+        self.waker.wake();
         Ok(published_ns)
     }
 

@@ -14,7 +14,7 @@ use iceoryx2::prelude::{
     SignalHandlingMode, ipc,
 };
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
-use iceoryx2::service::port_factory::{event, publish_subscribe};
+use iceoryx2::service::port_factory::publish_subscribe;
 use nix::fcntl::{Flock, FlockArg};
 use serde::{Deserialize, Serialize};
 use tendon_messages::{Topic, Traced};
@@ -22,7 +22,7 @@ use tendon_messages::{Topic, Traced};
 use crate::publisher::Element;
 
 /// Subscribers a topic can have: the next stage and observers (supervisor, `tendon latency`, recorders).
-const MAXIMUM_SUBSCRIBERS: usize = 8;
+pub(crate) const MAXIMUM_SUBSCRIBERS: usize = 8;
 /// Messages a subscriber may hold at a time: it looks at one, and drops it before the next.
 const MAXIMUM_BORROWED: usize = 2;
 /// Publishers a topic can have: every stage on `measurements`, and restarted ones beside the dead.
@@ -90,6 +90,12 @@ impl SessionName {
     /// other leftovers.
     pub fn runtime_file(&self, ending: &str) -> PathBuf {
         runtime_directory().join(format!("{}{ending}", self.prefix()))
+    }
+
+    /// A file of this session with the ending `ending`, in shared memory. It goes with the session's other
+    /// leftovers.
+    pub(crate) fn shared_memory_file(&self, ending: &str) -> PathBuf {
+        shared_memory_directory().join(format!("{}{ending}", self.prefix()))
     }
 
     /// iceoryx2's configuration for this session.
@@ -161,6 +167,22 @@ pub enum SessionError {
         topic: &'static str,
         /// iceoryx2's own word.
         reason: String,
+    },
+    /// What wakes the subscribers of a topic could not be used.
+    #[error("topic `{topic}`: cannot use {}; remove it, or give it to this user", path.display())]
+    Wake {
+        /// Topic name.
+        topic: &'static str,
+        /// The file in shared memory.
+        path: PathBuf,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// All subscribers that a topic can have are there.
+    #[error("topic `{topic}`: it has all of its {MAXIMUM_SUBSCRIBERS} subscribers: close an observer")]
+    NoSeat {
+        /// Topic name.
+        topic: &'static str,
     },
     /// The folder for sockets and locks could not be used.
     #[error("cannot use {}: {source}; remove it, or give it to this user", path.display())]
@@ -247,20 +269,6 @@ impl Session {
             Err(PublishSubscribeOpenError::DoesNotExist) => Ok(None),
             Err(error) => Err(self.port_error(topic.name, &error)),
         }
-    }
-
-    pub(crate) fn event(
-        &self,
-        topic: &'static str,
-    ) -> Result<event::PortFactory<ipc::Service>, SessionError> {
-        self.node
-            .service_builder(&self.service_name(topic)?)
-            .event()
-            .max_notifiers(MAXIMUM_PUBLISHERS)
-            .max_listeners(MAXIMUM_SUBSCRIBERS)
-            .max_nodes(MAXIMUM_NODES)
-            .open_or_create()
-            .map_err(|error| self.port_error(topic, &error))
     }
 
     fn service_name(&self, topic: &'static str) -> Result<ServiceName, SessionError> {
@@ -424,7 +432,7 @@ impl Leftovers {
         for file in Leftovers::of(session).files {
             let is_left_empty = std::fs::metadata(&file).is_ok_and(|metadata| {
                 let age = metadata.modified().ok().and_then(|modified| modified.elapsed().ok());
-                metadata.len() == 0 && age.unwrap_or_default() >= older_than
+                metadata.is_file() && metadata.len() == 0 && age.unwrap_or_default() >= older_than
             });
             if is_left_empty && file.starts_with(shared_memory_directory()) {
                 let _ = std::fs::remove_file(file);

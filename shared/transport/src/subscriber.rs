@@ -1,12 +1,12 @@
 //! The receiving end of a topic.
 
 use core::fmt::Debug;
+use core::sync::atomic::{Ordering, fence};
 use std::os::fd::{AsFd, BorrowedFd};
 
-use iceoryx2::port::listener::Listener;
 use iceoryx2::port::subscriber::Subscriber as Port;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::{FileDescriptorBased, ipc};
+use iceoryx2::prelude::ipc;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
@@ -15,6 +15,7 @@ use tendon_messages::{Stage, Topic, Trace, Traced};
 use crate::clock::now_ns;
 use crate::publisher::Element;
 use crate::session::{Delivery, Session, SessionError};
+use crate::wake::WakeListener;
 
 /// Why nothing could be received.
 #[derive(Debug, thiserror::Error)]
@@ -34,7 +35,7 @@ pub struct Subscriber<H: Traced, E: Element> {
     stage: Option<Stage>,
     service: PortFactory<ipc::Service, [E], H>,
     port: Port<ipc::Service, [E], H>,
-    listener: Listener<ipc::Service>,
+    wakes: WakeListener,
     gaps: GapCount,
     received: u64,
 }
@@ -79,13 +80,9 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
             .buffer_size(topic.buffer)
             .create()
             .map_err(|error| session.port_error(topic.name, &error))?;
-        let listener = session
-            .event(topic.name)?
-            .listener_builder()
-            .create()
-            .map_err(|error| session.port_error(topic.name, &error))?;
+        let wakes = WakeListener::open(session, topic.name)?;
         let gaps = GapCount::default();
-        Ok(Subscriber { topic: topic.name, stage, service, port, listener, gaps, received: 0 })
+        Ok(Subscriber { topic: topic.name, stage, service, port, wakes, gaps, received: 0 })
     }
 
     /// Connects to the publishers that there are; `false` when there is none yet. One that comes later wakes
@@ -98,20 +95,23 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
     ///
     /// [`ReceiveError`] when the publisher's memory cannot be mapped.
     pub fn connect(&self) -> Result<bool, ReceiveError> {
-        // In this order: a publisher that comes in between is connected to, or wakes this port.
+        // In this order: a publisher that comes in between is connected to, or wakes this port. The fence goes
+        // with the one in `Waker::wake`: of a port and a publisher that open at once, one sees the other.
+        fence(Ordering::SeqCst);
         let has_publisher = self.service.dynamic_config().number_of_publishers() > 0;
         self.port.update_connections().map_err(|error| self.error(&error))?;
         Ok(has_publisher)
     }
 
-    /// Takes back the wakes that have come so far. Call it after the file descriptor became readable and
-    /// before draining with [`Subscriber::receive`], so that no wake is missed.
+    /// Takes back the wake-ups that have come so far. Call it after the file descriptor became readable and
+    /// before [`Subscriber::receive`], then receive until nothing is left: a message that comes after this makes
+    /// the descriptor readable again.
     ///
     /// # Errors
     ///
-    /// [`ReceiveError`] when the event itself is broken.
+    /// [`ReceiveError`] when the kernel refuses to read.
     pub fn acknowledge_wakes(&self) -> Result<(), ReceiveError> {
-        self.listener.try_wait(|_| {}).map(|_| ()).map_err(|error| self.error(&error))
+        self.wakes.acknowledge().map_err(|error| self.error(&error))
     }
 
     /// The next message, stamped as received now; `None` when there is none.
@@ -160,9 +160,7 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
 
 impl<H: Traced, E: Element> AsFd for Subscriber<H, E> {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        // SAFETY: the listener owns the descriptor and keeps it open as long as it lives, and the borrow
-        // cannot outlive `self`, which owns the listener.
-        unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
+        self.wakes.as_fd()
     }
 }
 

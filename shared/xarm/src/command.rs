@@ -1,6 +1,9 @@
 //! What can be asked of the arm: each command with its register and parameters.
 
+use std::fmt;
+
 use crate::frame;
+use crate::gripper::{self, GripperRequest};
 
 /// How the arm takes motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,9 +79,23 @@ impl ArmState {
             .find(|&state| state as u8 == number)
     }
 
-    /// Whether motion is obeyed in this state.
+    /// Whether the arm follows velocities in this state.
     pub fn is_ready(self) -> bool {
-        !matches!(self, ArmState::Stopped | ArmState::ConfigurationChanged)
+        matches!(self, ArmState::Running | ArmState::Ready)
+    }
+}
+
+impl fmt::Display for ArmState {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            ArmState::Running => "running",
+            ArmState::Ready => "ready",
+            ArmState::Paused => "paused",
+            ArmState::Stopped => "stopped",
+            ArmState::ConfigurationChanged => {
+                "waiting to be set running after a change of its mode or settings"
+            }
+        })
     }
 }
 
@@ -90,52 +107,6 @@ pub enum TwistFrame {
     /// That of the tool.
     Tool = 1,
 }
-
-/// What can be asked of the gripper, over the arm's RS485 line, as Modbus RTU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GripperRequest {
-    /// Switch its motor on or off.
-    Enable(bool),
-    /// Its mode: 0 is motion to positions.
-    SetMode(u16),
-    /// Its speed, as the vendor counts it: 1 to 5000.
-    SetSpeed(u16),
-    /// Move to this position in pulses: about −10 (closed) to 850 (open).
-    MoveTo(i32),
-    /// Where it is, in pulses.
-    GetPosition,
-    /// Whether it stands (0), moves (1) or holds something (2), in the lowest two bits.
-    GetStatus,
-    /// Its error code.
-    GetError,
-}
-
-/// Numbers of the gripper's registers.
-pub mod gripper_register {
-    /// Motion status.
-    pub const STATUS: u16 = 0x0000;
-    /// Error code.
-    pub const ERROR: u16 = 0x000F;
-    /// Motor on or off.
-    pub const ENABLE: u16 = 0x0100;
-    /// Mode.
-    pub const MODE: u16 = 0x0101;
-    /// Speed.
-    pub const SPEED: u16 = 0x0303;
-    /// Target position, two registers.
-    pub const TARGET: u16 = 0x0700;
-    /// Position, two registers.
-    pub const POSITION: u16 = 0x0702;
-}
-
-/// Who is meant on the RS485 line behind register 0x7C.
-pub const GRIPPER_LINE: u8 = 0x09;
-/// Modbus address of the gripper on that line.
-pub const GRIPPER_ADDRESS: u8 = 0x08;
-/// Modbus function: read registers.
-pub const MODBUS_READ: u8 = 0x03;
-/// Modbus function: write registers.
-pub const MODBUS_WRITE: u8 = 0x10;
 
 /// Numbers of the arm's registers.
 pub mod register {
@@ -167,9 +138,9 @@ pub const ALL_AXES: u8 = 8;
 /// One request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Command {
-    /// The firmware's version: [`frame::Reply::text`].
+    /// The firmware's version: [`crate::reply::Reply::text`].
     GetVersion,
-    /// The serial number: [`frame::Reply::text`].
+    /// The serial number: [`crate::reply::Reply::text`].
     GetSerialNumber,
     /// Switch the motor of an axis (1 to 7, [`ALL_AXES`]) on or off; takes seconds.
     Enable {
@@ -180,11 +151,11 @@ pub enum Command {
     },
     /// Run, pause or stop.
     SetState(StateOrder),
-    /// What the arm is: [`frame::Reply::arm_state`].
+    /// What the arm is: [`crate::reply::Reply::arm_state`].
     GetState,
-    /// How many commands wait: [`frame::Reply::command_count`].
+    /// How many commands wait: [`crate::reply::Reply::command_count`].
     GetCommandCount,
-    /// Error and warning code: [`frame::Reply::codes`].
+    /// Error and warning code: [`crate::reply::Reply::codes`].
     GetErrors,
     /// Clear the error; the arm must then be enabled and set running anew.
     ClearError,
@@ -192,9 +163,9 @@ pub enum Command {
     ClearWarning,
     /// How motion is taken; the arm must then be set running.
     SetMode(Mode),
-    /// Pose of the flange: [`frame::Reply::floats`], 6.
+    /// Pose of the flange: [`crate::reply::Reply::floats`], 6.
     GetPose,
-    /// Joint angles: [`frame::Reply::floats`], 7.
+    /// Joint angles: [`crate::reply::Reply::floats`], 7.
     GetJoints,
     /// Greatest linear speed of the flange in reduced mode, in mm/s.
     SetReducedSpeed(f32),
@@ -303,7 +274,7 @@ impl Command {
                 duration_s.iter().for_each(|value| parameters.push(&value.to_le_bytes()));
             }
             Command::Gripper(request) => {
-                parameters.push(&[GRIPPER_LINE, GRIPPER_ADDRESS]);
+                parameters.push(&[gripper::LINE, gripper::ADDRESS]);
                 request.encode(&mut parameters);
             }
         }
@@ -368,7 +339,7 @@ impl Command {
                 Ok(Command::CartesianVelocity { twist, frame, duration_s })
             }
             register::GRIPPER => match parameters {
-                [GRIPPER_LINE, GRIPPER_ADDRESS, modbus @ ..] => {
+                [gripper::LINE, gripper::ADDRESS, modbus @ ..] => {
                     GripperRequest::decode(modbus).map(Command::Gripper).ok_or(wrong)
                 }
                 _ => Err(wrong),
@@ -378,66 +349,20 @@ impl Command {
     }
 }
 
-impl GripperRequest {
-    fn encode(self, parameters: &mut Parameters) {
-        use gripper_register::*;
-        let mut write = |register: u16, words: u8, value: &[u8]| {
-            parameters.push(&[MODBUS_WRITE]);
-            parameters.push(&register.to_be_bytes());
-            parameters.push(&[0, words, 2 * words]);
-            parameters.push(value);
-        };
-        match self {
-            GripperRequest::Enable(on) => write(ENABLE, 1, &u16::from(on).to_be_bytes()),
-            GripperRequest::SetMode(mode) => write(MODE, 1, &mode.to_be_bytes()),
-            GripperRequest::SetSpeed(speed) => write(SPEED, 1, &speed.to_be_bytes()),
-            GripperRequest::MoveTo(pulses) => write(TARGET, 2, &pulses.to_be_bytes()),
-            GripperRequest::GetPosition => parameters.push_read(POSITION, 2),
-            GripperRequest::GetStatus => parameters.push_read(STATUS, 1),
-            GripperRequest::GetError => parameters.push_read(ERROR, 1),
-        }
-    }
-
-    fn decode(modbus: &[u8]) -> Option<GripperRequest> {
-        use gripper_register::*;
-        match *modbus {
-            [MODBUS_WRITE, r0, r1, 0, 1, 2, v0, v1] => {
-                let value = u16::from_be_bytes([v0, v1]);
-                match u16::from_be_bytes([r0, r1]) {
-                    ENABLE => flag(u8::try_from(value).ok()?).map(GripperRequest::Enable),
-                    MODE => Some(GripperRequest::SetMode(value)),
-                    SPEED => Some(GripperRequest::SetSpeed(value)),
-                    _ => None,
-                }
-            }
-            [MODBUS_WRITE, r0, r1, 0, 2, 4, v0, v1, v2, v3] if u16::from_be_bytes([r0, r1]) == TARGET => {
-                Some(GripperRequest::MoveTo(i32::from_be_bytes([v0, v1, v2, v3])))
-            }
-            [MODBUS_READ, r0, r1, 0, words] => match (u16::from_be_bytes([r0, r1]), words) {
-                (POSITION, 2) => Some(GripperRequest::GetPosition),
-                (STATUS, 1) => Some(GripperRequest::GetStatus),
-                (ERROR, 1) => Some(GripperRequest::GetError),
-                _ => None,
-            },
-            _ => None,
-        }
-    }
-}
-
 /// The parameters of one request; 33 bytes are the most that any has.
-struct Parameters {
+pub(crate) struct Parameters {
     bytes: [u8; 40],
     length: usize,
 }
 
 impl Parameters {
-    fn push(&mut self, bytes: &[u8]) {
+    pub(crate) fn push(&mut self, bytes: &[u8]) {
         self.bytes[self.length..self.length + bytes.len()].copy_from_slice(bytes);
         self.length += bytes.len();
     }
 
-    fn push_read(&mut self, register: u16, words: u8) {
-        self.push(&[MODBUS_READ]);
+    pub(crate) fn push_read(&mut self, register: u16, words: u8) {
+        self.push(&[gripper::MODBUS_READ]);
         self.push(&register.to_be_bytes());
         self.push(&[0, words]);
     }
@@ -454,7 +379,7 @@ fn one(parameters: &[u8]) -> Option<u8> {
     }
 }
 
-fn flag(value: u8) -> Option<bool> {
+pub(crate) fn flag(value: u8) -> Option<bool> {
     match value {
         0 => Some(false),
         1 => Some(true),

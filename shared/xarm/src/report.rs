@@ -75,6 +75,69 @@ pub struct Health {
     pub warning: u8,
 }
 
+/// What somebody set on the controller about the tool and the mounting, in the reports 30001 and 30002.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setup {
+    /// From the flange to the tool's tip, which is what [`Report::pose`] then tells: mm, then roll, pitch, yaw in
+    /// rad.
+    pub tcp_offset: [f32; 6],
+    /// Mass of the tool and what it holds, kg.
+    pub load_kg: f32,
+    /// Its centre of mass, from the flange, mm.
+    pub load_centre_mm: [f32; 3],
+    /// How readily the arm takes a high motor current for a collision: 0 never, 5 at the slightest.
+    pub collision_sensitivity: u8,
+    /// How readily the arm gives way when moved by hand: 1 to 5.
+    pub teaching_sensitivity: u8,
+    /// Direction of gravity in the base frame: (0, 0, −1) for an arm that stands. `None`: the firmware does not say.
+    pub gravity: Option<[f32; 3]>,
+}
+
+impl Default for Setup {
+    /// A standing arm as delivered, without a tool.
+    fn default() -> Setup {
+        Setup {
+            tcp_offset: [0.0; 6],
+            load_kg: 0.0,
+            load_centre_mm: [0.0; 3],
+            collision_sensitivity: 3,
+            teaching_sensitivity: 3,
+            gravity: Some([0.0, 0.0, -1.0]),
+        }
+    }
+}
+
+impl Setup {
+    /// Whether [`Report::pose`] is that of the flange.
+    pub fn has_tcp_offset(&self) -> bool {
+        self.tcp_offset.iter().any(|&value| value != 0.0)
+    }
+
+    /// `None` if a number is not finite.
+    fn decode(bytes: &[u8]) -> Option<Setup> {
+        let [load_kg, x, y, z] = floats(&bytes[115..]);
+        let setup = Setup {
+            tcp_offset: floats(&bytes[91..]),
+            load_kg,
+            load_centre_mm: [x, y, z],
+            collision_sensitivity: bytes[131],
+            teaching_sensitivity: bytes[132],
+            gravity: (bytes.len() >= 145).then(|| floats(&bytes[133..])),
+        };
+        let values =
+            setup.tcp_offset.iter().chain(&setup.load_centre_mm).chain(setup.gravity.iter().flatten());
+        values.chain([&setup.load_kg]).all(|value| value.is_finite()).then_some(setup)
+    }
+
+    fn encode(&self, bytes: &mut [u8]) {
+        put_floats(&mut bytes[91..], &self.tcp_offset);
+        put_floats(&mut bytes[115..], &[self.load_kg]);
+        put_floats(&mut bytes[119..], &self.load_centre_mm);
+        bytes[131..133].copy_from_slice(&[self.collision_sensitivity, self.teaching_sensitivity]);
+        put_floats(&mut bytes[133..], &self.gravity.unwrap_or_default());
+    }
+}
+
 /// Forces and torques at the flange, of an arm with the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Forces {
@@ -95,12 +158,15 @@ pub struct Report {
     pub command_count: u16,
     /// Joint angles in rad, joint 1 first.
     pub joints_rad: [f32; 7],
-    /// Position of the flange in mm, then roll, pitch, yaw in rad.
+    /// Position of the tool's tip in mm, then roll, pitch, yaw in rad. Without a TCP offset ([`Setup`]) the tip is the
+    /// flange.
     pub pose: [f32; 6],
     /// Torque of each joint in Nm.
     pub torques_nm: [f32; 7],
     /// Only in [`Kind::Normal`] and [`Kind::Rich`].
     pub health: Option<Health>,
+    /// Only in [`Kind::Normal`] and [`Kind::Rich`].
+    pub setup: Option<Setup>,
     /// Only in [`Kind::RealTime`], with the sensor.
     pub forces: Option<Forces>,
 }
@@ -147,6 +213,7 @@ impl Report {
                 error: bytes[89],
                 warning: bytes[90],
             }),
+            setup: if kind == Kind::RealTime { None } else { Setup::decode(bytes) },
             forces: (kind == Kind::RealTime && bytes.len() >= 135)
                 .then(|| Forces { external: floats(&bytes[87..]), raw: floats(&bytes[111..]) }),
         };
@@ -156,7 +223,7 @@ impl Report {
         Ok(report)
     }
 
-    /// Appends the bytes of this report on this connection. What is not known here is zero, gravity points down.
+    /// Appends the bytes of this report on this connection. What this type does not hold is zero.
     pub fn encode(&self, kind: Kind, into: &mut Vec<u8>) {
         let start = into.len();
         let length = match (kind, self.forces) {
@@ -185,7 +252,7 @@ impl Report {
                     health.error,
                     health.warning,
                 ]);
-                put_floats(&mut bytes[133..], &[0.0, 0.0, -1.0]);
+                self.setup.unwrap_or_default().encode(bytes);
             }
         }
     }
@@ -280,6 +347,14 @@ mod tests {
                 error: 31,
                 warning: 0,
             }),
+            setup: (kind != Kind::RealTime).then_some(Setup {
+                tcp_offset: [1.0, -2.0, 172.0, 0.0, 0.5, 0.0],
+                load_kg: 0.82,
+                load_centre_mm: [0.0, 1.0, 48.0],
+                collision_sensitivity: 4,
+                teaching_sensitivity: 2,
+                gravity: Some([0.0, 1.0, 0.0]),
+            }),
             forces: None,
         }
     }
@@ -300,6 +375,10 @@ mod tests {
         assert_eq!(real_time[59..63], 1.0_f32.to_le_bytes());
         let normal = encoded(Kind::Normal);
         assert_eq!((normal.len(), normal[89], normal[90]), (145, 31, 0));
+        assert_eq!(normal[99..103], 172.0_f32.to_le_bytes());
+        assert_eq!(normal[115..119], 0.82_f32.to_le_bytes());
+        assert_eq!(normal[127..133], [0, 0, 0x40, 0x42, 4, 2]);
+        assert_eq!(normal[137..141], 1.0_f32.to_le_bytes());
         assert_eq!(encoded(Kind::Rich).len(), 245);
         let mut bytes = Vec::new();
         let forces = Forces { external: [1.0; 6], raw: [2.0; 6] };
@@ -317,8 +396,13 @@ mod tests {
             let stream = bytes.repeat(3);
             let mut decoder = Decoder::new(kind);
             let mut input = &stream[..];
+            let mut expected = report(kind);
+            if kind == Kind::Normal {
+                // It lies in the 12 bytes that the header does not count.
+                expected.setup.as_mut().unwrap().gravity = None;
+            }
             for _ in 0..3 {
-                assert_eq!(decoder.next_report(&mut input), Some(report(kind)));
+                assert_eq!(decoder.next_report(&mut input), Some(expected));
             }
             assert_eq!(decoder.next_report(&mut input), None);
         }
@@ -336,6 +420,9 @@ mod tests {
         bytes[4] = 0x52;
         bytes[7..11].copy_from_slice(&f32::NAN.to_le_bytes());
         assert_eq!(Report::decode(Kind::RealTime, &bytes), Err(ReportError::NotFinite));
+        let mut normal = encoded(Kind::Normal);
+        normal[115..119].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert_eq!(Report::decode(Kind::Normal, &normal).unwrap().setup, None);
     }
 
     fn any_kind() -> impl Strategy<Value = Kind> {

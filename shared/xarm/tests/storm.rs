@@ -72,7 +72,13 @@ impl Storm {
             piece.clear();
             match stream.read(&mut request) {
                 Ok(0) => return Ok(()),
-                Ok(length) if length >= 2 => transaction = u16::from_be_bytes([request[0], request[1]]),
+                Ok(length) if length >= 7 => {
+                    transaction = u16::from_be_bytes([request[0], request[1]]);
+                    // Else it would never be sent a motion.
+                    if is_control && matches!(request[6], 0x01 | 0x02) {
+                        stream.write_all(&Storm::identity(transaction, request[6]))?;
+                    }
+                }
                 _ => {}
             }
             for _ in 0..50 {
@@ -90,6 +96,16 @@ impl Storm {
             self.frames.fetch_add(50, Ordering::Relaxed);
         }
         Ok(())
+    }
+
+    /// The reply of an xArm7 that is asked who it is.
+    fn identity(transaction: u16, register: u8) -> [u8; 48] {
+        let mut reply = [0; 48];
+        reply[..2].copy_from_slice(&transaction.to_be_bytes());
+        reply[2..8].copy_from_slice(&[0, 2, 0, 42, register, 0]);
+        let text: &[u8] = if register == 1 { b"7,7,XI1305,AC1305,v2.5.0" } else { b"XI130506D01L04" };
+        reply[8..8 + text.len()].copy_from_slice(text);
+        reply
     }
 
     /// Answers every request as a quiet arm does.

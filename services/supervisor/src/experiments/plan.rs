@@ -1,8 +1,8 @@
 //! What is to be built, trained and compared: the paper's section "Methodological Comparisons" and "Final Selected
 //! System" as a list.
 
+use tendon_dataset::DatasetSettings;
 use tendon_recordings::Channel;
-use tendon_recordings::dataset::DatasetSettings;
 use tendon_signal::{FilterSettings, OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 /// A way to cut recordings into windows.

@@ -11,11 +11,12 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
-use tendon_gesture::Gesture;
-use tendon_recordings::dataset::{
-    self, BuildSettings, DatasetError, DatasetSettings, Layout, Manifest, Progress, Split,
+use tendon_dataset::{
+    self as dataset, BuildSettings, DatasetError, DatasetSettings, Layout, Manifest, Progress, Split,
+    SplitError, StoredDataset,
 };
-use tendon_recordings::{Channel, StoredDataset};
+use tendon_gesture::Gesture;
+use tendon_recordings::Channel;
 use tendon_signal::WindowSettings;
 
 /// Small windows of two channels, at the rate of 3DC.
@@ -389,7 +390,7 @@ fn nobody_of_the_real_people_is_on_both_sides_of_the_test() {
 
     let divided = BuildSettings { test_people: vec![14], ..BuildSettings::default() };
     let error = dataset::build(&settings, &divided, &paths, &out, &mut silent).unwrap_err();
-    assert!(matches!(error, DatasetError::TwinsDivided { .. }), "{error}");
+    assert!(matches!(error, DatasetError::Split(SplitError::TwinsDivided { .. })), "{error}");
     // Where only one of the two is there, nothing is shared.
     let paths = [three_dc.join("Participant14"), three_dc.join("Participant1")];
     dataset::build(&settings, &divided, &paths, &out, &mut silent).unwrap();

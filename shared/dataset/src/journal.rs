@@ -15,8 +15,11 @@ use std::time::UNIX_EPOCH;
 
 use serde::{Deserialize, Serialize};
 
-use crate::dataset::listing::Recording;
-use crate::dataset::{DatasetSettings, RecordingEntry, SkippedEntry};
+use tendon_recordings::SkippedEntry;
+
+use crate::recording::Recording;
+use crate::settings::DatasetSettings;
+use crate::trial::RecordingEntry;
 
 /// Name of the file.
 pub(crate) const FILE_NAME: &str = "progress.jsonl";

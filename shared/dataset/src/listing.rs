@@ -1,42 +1,20 @@
 //! Which recordings lie under the paths that are given, whatever their layout.
 
+mod problem;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::dataset::{DatasetError, DatasetSettings, SkippedEntry};
-use crate::error::RecordingError;
-use crate::labels::{self, LabelledFile, is_table};
-use crate::ozdemir;
-use crate::replay::ReplayStream;
-use crate::source::{RecordingSettings, RecordingSource, Segment};
-use crate::three_dc;
+use tendon_recordings::labels::{self, LabelledFile, is_table};
+use tendon_recordings::{RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
 
-/// One person's samples without a gap, through which the filter runs without a break, made of trials.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Recording {
-    /// The file, or the folder whose files it is made of.
-    pub path: PathBuf,
-    /// Number of the person.
-    pub person: u16,
-    /// When it was made, in the words of its layout: `train` and `test` of 3DC.
-    pub session: String,
-    /// Repetitions of the person's sessions before this one.
-    repetitions_before: u32,
-    content: Content,
-}
+use crate::recording::{Content, Recording};
+use crate::settings::DatasetSettings;
 
-/// What tells a recording's samples and trials.
-#[derive(Clone, Debug, PartialEq)]
-enum Content {
-    /// A repetition of a 3DC folder.
-    ThreeDc { repetition: u32 },
-    /// A `.mat` file of Ozdemir 2022.
-    OzdemirMat,
-    /// A text table, divided like this.
-    Table { segments: Vec<Segment>, default_hz: Option<f64> },
-}
+pub use problem::ListingError;
 
 /// How recordings lie on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -73,67 +51,6 @@ pub struct Recordings {
     pub skipped: Vec<SkippedEntry>,
 }
 
-impl Recording {
-    /// Opens it to be read.
-    pub(crate) fn open(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
-        match &self.content {
-            Content::ThreeDc { repetition } => {
-                let settings = RecordingSettings {
-                    channels: settings.channels.clone(),
-                    sample_rate_hz: settings.recording_rate_hz,
-                    repetition: Some(*repetition),
-                };
-                RecordingSource::open(&self.path, &settings)
-            }
-            Content::OzdemirMat => ozdemir::open(&self.path, &settings.channels, settings.recording_rate_hz),
-            Content::Table { segments, default_hz } => {
-                let rate_hz = settings.recording_rate_hz.or(*default_hz);
-                let rate_hz =
-                    rate_hz.ok_or_else(|| RecordingError::SampleRateMissing { file: self.path.clone() })?;
-                RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)
-            }
-        }
-    }
-
-    /// Opens it to be replayed in blocks of `block_samples`, at the rate of `settings` and with its channels.
-    ///
-    /// # Errors
-    /// When it cannot be opened, or its rate cannot be brought to that of `settings`.
-    pub fn stream(
-        &self,
-        settings: &DatasetSettings,
-        block_samples: usize,
-    ) -> Result<ReplayStream, RecordingError> {
-        ReplayStream::of(self.open(settings)?, settings.sample_rate_hz, block_samples)
-    }
-
-    /// A repetition of this session, counted through all sessions of the person.
-    pub(crate) fn repetition_of_all(&self, repetition: u32) -> u8 {
-        u8::try_from(self.repetitions_before + repetition).unwrap_or(u8::MAX)
-    }
-
-    /// What went wrong with it, for the list of what was left out.
-    pub(crate) fn skipped(&self, error: &RecordingError) -> SkippedEntry {
-        let reason = match &self.content {
-            Content::ThreeDc { repetition } => format!("repetition {repetition}: {error}"),
-            Content::OzdemirMat | Content::Table { .. } => error.to_string(),
-        };
-        SkippedEntry { path: self.path.clone(), reason }
-    }
-
-    /// Its files.
-    pub(crate) fn files(&self) -> Vec<PathBuf> {
-        match &self.content {
-            Content::ThreeDc { repetition } => three_dc::list(&self.path)
-                .ok()
-                .and_then(|mut files| files.remove(repetition))
-                .map(|files| files.into_values().collect())
-                .unwrap_or_default(),
-            Content::OzdemirMat | Content::Table { .. } => vec![self.path.clone()],
-        }
-    }
-}
-
 /// Lists the recordings at or below `paths`. What lies there tells the layout:
 ///
 /// | found | recordings |
@@ -149,21 +66,21 @@ impl Recording {
 /// When there is no recording under one of the paths, they are of several layouts, somebody's recording is there
 /// twice, the settings do not fit the recordings (filtered before or not, no sampling rate), `labels.csv` is
 /// wrong, or a folder cannot be read.
-pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, DatasetError> {
+pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, ListingError> {
     let mut found = Found::default();
     for path in paths {
         let skipped_before = found.skipped.len();
         if found.gather(path, true)? == 0 {
             let hint = found.skipped.get(skipped_before);
             let hint = hint.map(|skipped| format!(" ({}: {})", skipped.path.display(), skipped.reason));
-            return Err(DatasetError::NoRecordings { path: path.clone(), hint: hint.unwrap_or_default() });
+            return Err(ListingError::NoRecordings { path: path.clone(), hint: hint.unwrap_or_default() });
         }
     }
     let Some((layout, first)) = found.candidates.first().cloned() else {
-        return Err(DatasetError::NoRecordings { path: PathBuf::new(), hint: String::new() });
+        return Err(ListingError::NoRecordings { path: PathBuf::new(), hint: String::new() });
     };
     if let Some((other, second)) = found.candidates.iter().find(|(other, _)| *other != layout).cloned() {
-        return Err(DatasetError::SeveralLayouts { first, layout, second, other });
+        return Err(ListingError::SeveralLayouts { first, layout, second, other });
     }
     let mut skipped = found.skipped;
     let candidates: Vec<PathBuf> = found.candidates.into_iter().map(|(_, path)| path).collect();
@@ -180,7 +97,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
         Layout::Labelled => {
             if settings.recording_rate_hz.is_none() {
                 let labels = candidates[0].join(labels::FILE_NAME);
-                return Err(DatasetError::NoRate { labels });
+                return Err(ListingError::NoRate { labels });
             }
             labelled_recordings(&candidates, &mut skipped)?
         }
@@ -199,7 +116,7 @@ struct Found {
 
 impl Found {
     /// Looks at `path` and below; the result is how many candidates are there.
-    fn gather(&mut self, path: &Path, is_given: bool) -> Result<usize, DatasetError> {
+    fn gather(&mut self, path: &Path, is_given: bool) -> Result<usize, ListingError> {
         if path.is_dir() {
             if three_dc::origin(path).is_some() {
                 return Ok(self.add(Layout::ThreeDc, path));
@@ -226,7 +143,7 @@ impl Found {
             return Ok(self.add(Layout::Labelled, path.parent().unwrap_or(Path::new("."))));
         }
         if is_given {
-            path.metadata().map_err(RecordingError::open(path))?;
+            path.metadata().map_err(unreadable(path))?;
         }
         // Texts of other kinds, such as a README.txt, lie beside recordings.
         let is_three_dc = three_dc::parse_file_name(path).is_some();
@@ -254,11 +171,15 @@ impl Found {
     }
 }
 
+fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> ListingError + '_ {
+    |reason| RecordingError::Open { path: path.to_owned(), reason }.into()
+}
+
 /// What a folder holds, in order.
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
+fn entries(folder: &Path) -> Result<Vec<PathBuf>, ListingError> {
     let mut entries = Vec::new();
-    for entry in fs::read_dir(folder).map_err(RecordingError::open(folder))? {
-        entries.push(entry.map_err(RecordingError::open(folder))?.path());
+    for entry in fs::read_dir(folder).map_err(unreadable(folder))? {
+        entries.push(entry.map_err(unreadable(folder))?.path());
     }
     entries.sort();
     Ok(entries)
@@ -268,14 +189,14 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
 fn three_dc_recordings(
     folders: &[PathBuf],
     skipped: &mut Vec<SkippedEntry>,
-) -> Result<Vec<Recording>, DatasetError> {
+) -> Result<Vec<Recording>, ListingError> {
     let mut by_origin = BTreeMap::new();
     for folder in folders {
         let Some(origin) = three_dc::origin(folder) else { continue };
         if let Some(first) = by_origin.insert(origin, folder) {
             let (person, session) = origin;
             let what = format!("the {} session of person {person}", session.name());
-            return Err(DatasetError::Twice { what, first: first.clone(), second: folder.clone() });
+            return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
         }
     }
     let mut recordings = Vec::new();
@@ -304,11 +225,11 @@ fn three_dc_recordings(
 
 /// Refuses recordings whose folders say that they were filtered before if they are to be filtered, and those that
 /// were not if they are not.
-fn check_filtered(settings: &DatasetSettings, files: &[PathBuf]) -> Result<(), DatasetError> {
+fn check_filtered(settings: &DatasetSettings, files: &[PathBuf]) -> Result<(), ListingError> {
     let is_filtered = settings.filter.is_none();
     match files.iter().find(|file| ozdemir::is_filtered(file) == Some(!is_filtered)) {
-        Some(file) if is_filtered => Err(DatasetError::NotFiltered { file: file.clone() }),
-        Some(file) => Err(DatasetError::Filtered { file: file.clone() }),
+        Some(file) if is_filtered => Err(ListingError::NotFiltered { file: file.clone() }),
+        Some(file) => Err(ListingError::Filtered { file: file.clone() }),
         None => Ok(()),
     }
 }
@@ -319,7 +240,7 @@ const ONLY_SESSION: &str = "1";
 fn mat_recordings(
     files: &[PathBuf],
     skipped: &mut Vec<SkippedEntry>,
-) -> Result<Vec<Recording>, DatasetError> {
+) -> Result<Vec<Recording>, ListingError> {
     let mut by_person = BTreeMap::new();
     for file in files {
         let reason = match ozdemir::person(file) {
@@ -327,7 +248,7 @@ fn mat_recordings(
                 None => continue,
                 Some(first) => {
                     let what = format!("person {person}");
-                    return Err(DatasetError::Twice { what, first: first.clone(), second: file.clone() });
+                    return Err(ListingError::Twice { what, first: first.clone(), second: file.clone() });
                 }
             },
             Ok(None) => "neither its variable iD nor a number in its name tells the person".to_owned(),
@@ -345,14 +266,14 @@ fn mat_recordings(
     Ok(by_person.into_iter().map(recording).collect())
 }
 
-fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, DatasetError> {
+fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
     let mut by_trial = BTreeMap::new();
     for file in files {
         let Some(trial) = ozdemir::trial_of_name(file) else { continue };
         if let Some(first) = by_trial.insert(trial, file) {
             let ozdemir::Trial { person, cycle, gesture } = trial;
             let what = format!("gesture {gesture} of cycle {cycle} of person {person}");
-            return Err(DatasetError::Twice { what, first: first.clone(), second: file.clone() });
+            return Err(ListingError::Twice { what, first: first.clone(), second: file.clone() });
         }
     }
     let recording = |(trial, file): (ozdemir::Trial, &PathBuf)| Recording {
@@ -376,7 +297,7 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, DatasetError> {
 fn labelled_recordings(
     folders: &[PathBuf],
     skipped: &mut Vec<SkippedEntry>,
-) -> Result<Vec<Recording>, DatasetError> {
+) -> Result<Vec<Recording>, ListingError> {
     let mut files: Vec<LabelledFile> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
@@ -384,7 +305,7 @@ fn labelled_recordings(
             let real = fs::canonicalize(&file.path).unwrap_or_else(|_| file.path.clone());
             if let Some(first) = folder_of_file.insert(real, folder) {
                 let what = file.path.display().to_string();
-                return Err(DatasetError::Twice { what, first: first.clone(), second: folder.clone() });
+                return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
             }
             files.push(file);
         }
@@ -402,7 +323,7 @@ fn labelled_recordings(
     for LabelledFile { path, person, session, segments } in files {
         let (names, repetitions) = &sessions[&person];
         if names.len() as u32 * repetitions > u32::from(u8::MAX) + 1 {
-            return Err(DatasetError::TooManyRepetitions { person });
+            return Err(ListingError::TooManyRepetitions { person });
         }
         let place = names.iter().position(|name| *name == session).unwrap_or(0) as u32;
         recordings.push(Recording {

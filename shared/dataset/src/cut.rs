@@ -4,13 +4,12 @@ use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 
 use tendon_gesture::Gesture;
+use tendon_recordings::{RecordingError, ReplayStream, Segment, SkippedEntry};
 use tendon_signal::{DesignError, EmgFilter, Envelope, WindowInput, WindowSettings, find_onset};
 
-use crate::dataset::listing::Recording;
-use crate::dataset::{DatasetSettings, RecordingEntry, SkippedEntry};
-use crate::error::RecordingError;
-use crate::replay::ReplayStream;
-use crate::source::Segment;
+use crate::recording::Recording;
+use crate::settings::DatasetSettings;
+use crate::trial::RecordingEntry;
 
 /// The most values of a trial, all channels together: what is held in memory while it is cut. At 2000 Hz and
 /// four channels that is more than eight minutes.

@@ -12,9 +12,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 
-use crate::dataset::listing::{Layout, Recording};
-use crate::dataset::{DatasetError, RecordingEntry};
-use crate::npy::MappedArray;
+use tendon_recordings::npy::MappedArray;
+
+use crate::listing::Layout;
+use crate::recording::Recording;
+use crate::trial::RecordingEntry;
 
 /// Share of the windows of each gesture, of people who are not held out, that validation gets.
 pub const VALIDATION_SHARE: f64 = 0.2;
@@ -89,23 +91,57 @@ pub struct GestureStatistics {
     pub sum_of_squares: Vec<f64>,
 }
 
+/// Why people cannot be held out.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SplitError {
+    /// Somebody to hold out who is not there.
+    #[error("there is no person {person} to hold out: choose among {}", list_of(.known))]
+    UnknownTestPerson {
+        /// The number asked for.
+        person: u16,
+        /// The people there are.
+        known: Vec<u16>,
+    },
+    /// Everybody is held out.
+    #[error("all people ({}) are held out: leave at least one to train on", list_of(.known))]
+    EverybodyHeldOut {
+        /// The people there are.
+        known: Vec<u16>,
+    },
+    /// Two people who must stay together.
+    #[error(
+        "people {} and {} of 3DC share recordings (part of one's files are copies of the other's): hold out both or \
+         neither",
+        .people[0], .people[1]
+    )]
+    TwinsDivided {
+        /// The two.
+        people: [u16; 2],
+    },
+}
+
+/// People, as messages name them.
+pub(crate) fn list_of(people: &[u16]) -> String {
+    people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
 /// Refuses people to hold out who are not there, are everybody, or cannot be held out alone.
 pub(crate) fn check_people(
     test_people: &[u16],
     layout: Layout,
     recordings: &[Recording],
-) -> Result<(), DatasetError> {
+) -> Result<(), SplitError> {
     let known: BTreeSet<u16> = recordings.iter().map(|recording| recording.person).collect();
     if let Some(&person) = test_people.iter().find(|person| !known.contains(person)) {
-        return Err(DatasetError::UnknownTestPerson { person, known: known.into_iter().collect() });
+        return Err(SplitError::UnknownTestPerson { person, known: known.into_iter().collect() });
     }
     if !known.is_empty() && known.iter().all(|person| test_people.contains(person)) {
-        return Err(DatasetError::EverybodyHeldOut { known: known.into_iter().collect() });
+        return Err(SplitError::EverybodyHeldOut { known: known.into_iter().collect() });
     }
     let are_known = THREE_DC_TWINS.iter().all(|person| known.contains(person));
     let held_out = THREE_DC_TWINS.iter().filter(|person| test_people.contains(person)).count();
     if layout == Layout::ThreeDc && are_known && held_out == 1 {
-        return Err(DatasetError::TwinsDivided { people: THREE_DC_TWINS });
+        return Err(SplitError::TwinsDivided { people: THREE_DC_TWINS });
     }
     Ok(())
 }

@@ -1,0 +1,380 @@
+//! Writes the data set of many recordings, on several threads, and goes on where it was interrupted.
+
+use std::fs::{self, File};
+use std::io;
+use std::num::NonZeroUsize;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use tendon_recordings::SkippedEntry;
+use tendon_recordings::npy::{Element, MappedArray, NpyWriter};
+use tendon_signal::DesignError;
+
+use crate::cut::{Outcome, trials};
+use crate::files::{LABELS, MANIFEST, PEOPLE, RECORDINGS, REPETITIONS, SPLITS, STARTS, WINDOWS};
+use crate::journal::{self, Earlier, Finished, Journal, JournalError};
+use crate::listing::{ListingError, Recordings, list};
+use crate::manifest::{Content, Manifest};
+use crate::ordered;
+use crate::recording::Recording;
+use crate::settings::DatasetSettings;
+use crate::split::{self, Split, SplitError, list_of};
+use crate::trial::RecordingEntry;
+
+/// How far [`build`] has come.
+#[derive(Clone, Copy, Debug)]
+pub enum Progress<'a> {
+    /// It begins.
+    Begun {
+        /// Recordings in all.
+        total: usize,
+        /// Those that an earlier build had finished.
+        resumed: usize,
+        /// Their windows.
+        windows: u64,
+        /// Whether an earlier build had not come to its end, but was of other settings or recordings.
+        is_other: bool,
+    },
+    /// A recording is finished.
+    Recording {
+        /// Recordings finished.
+        done: usize,
+        /// Recordings in all.
+        total: usize,
+        /// The file or folder of the one just finished.
+        path: &'a Path,
+        /// Windows so far.
+        windows: u64,
+    },
+}
+
+/// Why no data set could be built.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    /// No recordings that could be used together.
+    #[error(transparent)]
+    Listing(#[from] ListingError),
+    /// Settings that do not fit.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// People who cannot be held out.
+    #[error(transparent)]
+    Split(#[from] SplitError),
+    /// All windows are held out.
+    #[error(
+        "nothing is left to train on: all windows are of those held out ({}); hold out fewer people",
+        list_of(.test_people)
+    )]
+    NothingToTrain {
+        /// The people held out.
+        test_people: Vec<u16>,
+    },
+    /// The build was broken off.
+    #[error("interrupted: the same command goes on where {} stands", .out_dir.display())]
+    Interrupted {
+        /// Folder of the data set.
+        out_dir: PathBuf,
+    },
+    /// Another process builds there.
+    #[error("another build is writing to {}: wait for it, or choose another folder", .out_dir.display())]
+    InUse {
+        /// Folder of the data set.
+        out_dir: PathBuf,
+    },
+    /// A file of the data set that cannot be written.
+    #[error("cannot write {}: {reason}; check that there is room and that you may write there", .path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        reason: io::Error,
+    },
+    /// Not a single window.
+    #[error(
+        "no window could be cut from {recordings} recordings; the first was left out because: {first_reason}"
+    )]
+    NoWindows {
+        /// Recordings found.
+        recordings: usize,
+        /// Why the first one was left out.
+        first_reason: String,
+    },
+}
+
+/// How a data set is built from its settings and recordings.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BuildSettings {
+    /// People all of whose windows are for the test; nobody else's are.
+    pub test_people: Vec<u16>,
+    /// Seed of the choice of windows for validation.
+    pub seed: u64,
+    /// Recordings that are read at a time. The data set does not depend on it.
+    pub threads: usize,
+}
+
+impl Default for BuildSettings {
+    /// Nobody is held out; all processors, but no more than eight threads: each may hold a recording in memory.
+    fn default() -> BuildSettings {
+        let threads = std::thread::available_parallelism().map_or(1, NonZeroUsize::get).min(8);
+        BuildSettings { test_people: Vec::new(), seed: 0, threads }
+    }
+}
+
+/// Cuts the windows of all recordings that [`list`] finds at or below `paths` and writes the data set to `out_dir`,
+/// which is created. Recordings that cannot be used are left out and listed in the manifest.
+///
+/// A build that was interrupted, by `progress` or by the end of the process, goes on where it stopped when it is
+/// begun again with the same settings and recordings; with others, all of it is made anew. The data set is the same
+/// to the byte either way.
+///
+/// # Errors
+/// When [`list`] gives one, the settings do not fit, nothing is left to train on, `progress` breaks off, or the data
+/// set cannot be written. The manifest is written last: a folder without it holds no complete data set.
+pub fn build(
+    settings: &DatasetSettings,
+    building: &BuildSettings,
+    paths: &[PathBuf],
+    out_dir: &Path,
+    progress: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
+) -> Result<Manifest, DatasetError> {
+    settings.check()?;
+    let found = list(settings, paths)?;
+    split::check_people(&building.test_people, found.layout, &found.recordings)?;
+    let total = found.recordings.len();
+    let (mut builder, is_other) = Builder::open(settings, &found, out_dir)?;
+    let resumed = builder.finished;
+    let begun = Progress::Begun { total, resumed, windows: builder.windows.rows(), is_other };
+    let mut flow = progress(begun);
+    let mut result = Ok(());
+    if flow.is_continue() {
+        let remaining: Vec<&Recording> = found.recordings[resumed..].iter().collect();
+        ordered::in_order(
+            building.threads,
+            &remaining,
+            |recording, give| {
+                let given = trials(settings, recording, &mut |outcome| {
+                    let bytes = match &outcome {
+                        Outcome::Trial(trial) => trial.bytes(),
+                        Outcome::Skipped(_) => 0,
+                    };
+                    give(Step::Outcome(outcome), bytes)
+                });
+                // Should the other side have broken off, nobody needs this.
+                let notices = given.map(|(notices, _)| notices).map_err(|error| recording.skipped(&error));
+                let _ = give(Step::End(notices), 0);
+            },
+            |step| match builder.take(step) {
+                Ok(None) => ControlFlow::Continue(()),
+                Ok(Some(done)) => {
+                    let path = &found.recordings[done - 1].path;
+                    flow =
+                        progress(Progress::Recording { done, total, path, windows: builder.windows.rows() });
+                    flow
+                }
+                Err(error) => {
+                    result = Err(error);
+                    ControlFlow::Break(())
+                }
+            },
+        );
+    }
+    result?;
+    if flow.is_break() {
+        return Err(DatasetError::Interrupted { out_dir: out_dir.to_owned() });
+    }
+    builder.finish(building)
+}
+
+/// What a thread gives that cuts a recording.
+enum Step {
+    /// What became of a trial.
+    Outcome(Outcome),
+    /// The recording was read to its end, with these notices, or has to be left out whole.
+    End(Result<Vec<String>, SkippedEntry>),
+}
+
+/// The data set being written.
+struct Builder<'a> {
+    settings: &'a DatasetSettings,
+    out_dir: &'a Path,
+    journal: Journal,
+    windows: NpyWriter<f32>,
+    /// Recordings that are finished.
+    finished: usize,
+    recordings: Vec<RecordingEntry>,
+    skipped: Vec<SkippedEntry>,
+    notices: Vec<String>,
+    /// The recording whose trials are coming.
+    current: Finished,
+    /// A window.
+    window: Vec<f32>,
+}
+
+impl<'a> Builder<'a> {
+    /// Opens the data set in `out_dir` to go on with it, or begins it; and whether something else was found there
+    /// that had not come to its end.
+    fn open(
+        settings: &'a DatasetSettings,
+        found: &Recordings,
+        out_dir: &'a Path,
+    ) -> Result<(Builder<'a>, bool), DatasetError> {
+        fs::create_dir_all(out_dir).map_err(write_error(out_dir))?;
+        let (mut journal, earlier) =
+            Journal::open(out_dir, settings, &found.recordings).map_err(|error| match error {
+                JournalError::InUse => DatasetError::InUse { out_dir: out_dir.to_owned() },
+                JournalError::Io(error) => write_error(&out_dir.join(journal::FILE_NAME))(error),
+            })?;
+        let manifest_path = out_dir.join(MANIFEST);
+        match fs::remove_file(&manifest_path) {
+            Err(reason) if reason.kind() != io::ErrorKind::NotFound => {
+                return Err(write_error(&manifest_path)(reason));
+            }
+            _ => {}
+        }
+        let is_other = earlier == Earlier::Other;
+        let mut earlier = match earlier {
+            Earlier::Same(finished) => finished,
+            Earlier::None | Earlier::Other => Vec::new(),
+        };
+        let windows_path = out_dir.join(WINDOWS);
+        let row_shape = [settings.channels.len(), settings.windows.window_samples];
+        let blocks: Vec<(u64, u32)> =
+            earlier.iter().map(|finished| (finished.windows, finished.checksum)).collect();
+        let (windows, whole) =
+            NpyWriter::resume(&windows_path, &row_shape, &blocks).map_err(write_error(&windows_path))?;
+        earlier.truncate(whole);
+        journal.keep_recordings(whole).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
+        let mut builder = Builder {
+            settings,
+            out_dir,
+            journal,
+            windows,
+            finished: 0,
+            recordings: Vec::new(),
+            skipped: found.skipped.clone(),
+            notices: Vec::new(),
+            current: Finished::default(),
+            window: vec![0.0; row_shape.iter().product()],
+        };
+        for finished in earlier {
+            builder.append(finished);
+        }
+        Ok((builder, is_other))
+    }
+
+    fn append(&mut self, finished: Finished) {
+        self.finished += 1;
+        self.recordings.extend(finished.trials);
+        self.skipped.extend(finished.skipped);
+        self.notices.extend(finished.notices);
+    }
+
+    /// Takes in the next step; `Some` with the recordings finished so far when it ends one.
+    fn take(&mut self, step: Step) -> Result<Option<usize>, DatasetError> {
+        let at_windows = |error| write_error(&self.out_dir.join(WINDOWS))(error);
+        match step {
+            Step::Outcome(Outcome::Skipped(skipped)) => {
+                self.current.skipped.push(skipped);
+                return Ok(None);
+            }
+            Step::Outcome(Outcome::Trial(trial)) => {
+                let first_window = self.windows.rows();
+                for start_sample in trial.entry.starts(&self.settings.windows) {
+                    trial.copy_window(start_sample, &self.settings.windows, &mut self.window);
+                    self.windows.write(&self.window).map_err(at_windows)?;
+                }
+                self.current.windows += trial.entry.windows;
+                self.current.trials.push(RecordingEntry { first_window, ..trial.entry });
+                return Ok(None);
+            }
+            Step::End(Ok(notices)) => self.current.notices = notices,
+            Step::End(Err(skipped)) => {
+                let before = self.windows.rows() - self.current.windows;
+                self.windows.truncate(before).map_err(at_windows)?;
+                self.current = Finished { skipped: vec![skipped], ..Finished::default() };
+            }
+        }
+        self.current.checksum = self.windows.flush().map_err(at_windows)?;
+        self.journal
+            .push(&self.current)
+            .map_err(|error| write_error(&self.out_dir.join(journal::FILE_NAME))(error))?;
+        let finished = std::mem::take(&mut self.current);
+        self.append(finished);
+        Ok(Some(self.finished))
+    }
+
+    fn finish(self, building: &BuildSettings) -> Result<Manifest, DatasetError> {
+        let Builder { settings, out_dir, journal, windows, recordings, skipped, notices, .. } = self;
+        let count = windows.rows();
+        if count == 0 {
+            let first_reason = match skipped.first() {
+                Some(skipped) => skipped.to_string(),
+                None => "they hold no trials".to_owned(),
+            };
+            return Err(DatasetError::NoWindows { recordings: self.finished, first_reason });
+        }
+        let splits = split::splits(&recordings, &building.test_people, building.seed);
+        let split = split::entry_of(&splits, &recordings, &building.test_people, building.seed);
+        if split.windows.train == 0 {
+            return Err(DatasetError::NothingToTrain { test_people: split.test_people });
+        }
+        let windows_path = out_dir.join(WINDOWS);
+        windows.finish().map_err(write_error(&windows_path))?;
+        write_arrays(settings, out_dir, &recordings, &splits)?;
+        let mut stored = MappedArray::open(&windows_path, 2)
+            .map_err(|error| write_error(&windows_path)(io::Error::other(error)))?;
+        let statistics = split::statistics(&mut stored, &splits, &recordings);
+        let content = Content { windows: count, recordings, skipped, notices };
+        let manifest = Manifest::of(settings, content, split, statistics);
+        let manifest_path = out_dir.join(MANIFEST);
+        let write_manifest = || {
+            let mut file = io::BufWriter::new(File::create(&manifest_path)?);
+            serde_json::to_writer_pretty(&mut file, &manifest)?;
+            io::Write::flush(&mut file)
+        };
+        write_manifest().map_err(write_error(&manifest_path))?;
+        journal.remove(out_dir).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
+        Ok(manifest)
+    }
+}
+
+/// Writes what belongs to each window, in the order of the windows.
+fn write_arrays(
+    settings: &DatasetSettings,
+    out_dir: &Path,
+    recordings: &[RecordingEntry],
+    splits: &[Split],
+) -> Result<(), DatasetError> {
+    let rows = || {
+        recordings.iter().enumerate().flat_map(|(index, entry)| {
+            entry.starts(&settings.windows).map(move |start| (index, entry, start))
+        })
+    };
+    write_array(out_dir, LABELS, rows().map(|(_, entry, _)| entry.gesture as u8))?;
+    write_array(out_dir, PEOPLE, rows().map(|(_, entry, _)| entry.person))?;
+    write_array(out_dir, REPETITIONS, rows().map(|(_, entry, _)| entry.repetition_of_all))?;
+    write_array(out_dir, RECORDINGS, rows().map(|(index, _, _)| index as u32))?;
+    write_array(out_dir, STARTS, rows().map(|(_, _, start)| start as u32))?;
+    write_array(out_dir, SPLITS, splits.iter().map(|&split| split as u8))
+}
+
+/// Writes an array of single values.
+fn write_array<T: Element>(
+    folder: &Path,
+    name: &str,
+    values: impl Iterator<Item = T>,
+) -> Result<(), DatasetError> {
+    let path = folder.join(name);
+    let write = || {
+        let mut writer = NpyWriter::create(&path, &[])?;
+        for value in values {
+            writer.write(&[value])?;
+        }
+        writer.finish()
+    };
+    write().map_err(write_error(&path))
+}
+
+fn write_error(path: &Path) -> impl FnOnce(io::Error) -> DatasetError + '_ {
+    |reason| DatasetError::Write { path: path.to_owned(), reason }
+}

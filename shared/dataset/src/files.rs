@@ -1,0 +1,10 @@
+//! Names of the files of a data set.
+
+pub(crate) const WINDOWS: &str = "windows.npy";
+pub(crate) const LABELS: &str = "labels.npy";
+pub(crate) const PEOPLE: &str = "people.npy";
+pub(crate) const REPETITIONS: &str = "repetitions.npy";
+pub(crate) const RECORDINGS: &str = "recordings.npy";
+pub(crate) const STARTS: &str = "starts.npy";
+pub(crate) const SPLITS: &str = "splits.npy";
+pub(crate) const MANIFEST: &str = "manifest.json";

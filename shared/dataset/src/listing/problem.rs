@@ -1,0 +1,90 @@
+//! Why recordings cannot be used together.
+
+use std::path::PathBuf;
+
+use tendon_recordings::RecordingError;
+use tendon_recordings::labels::LabelsError;
+
+use super::Layout;
+
+/// Why there are no recordings to work on. Each message says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ListingError {
+    /// A folder or file that cannot be read.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// Labels that cannot be used.
+    #[error(transparent)]
+    Labels(#[from] LabelsError),
+    /// A path without recordings.
+    #[error(
+        "{}: no recordings found{hint}; give folders ParticipantP/train/EMG or ParticipantP/test/EMG (3DC), files \
+         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), a folder with tables and a labels.csv, or a \
+         folder above such",
+        .path.display()
+    )]
+    NoRecordings {
+        /// The path.
+        path: PathBuf,
+        /// What lies there instead, if anything, in brackets.
+        hint: String,
+    },
+    /// Recordings of several data sets: their people, channels and units have nothing to do with each other.
+    #[error(
+        "{} is of the layout {layout}, but {} of {other}: build a data set of each",
+        .first.display(), .second.display()
+    )]
+    SeveralLayouts {
+        /// The first path.
+        first: PathBuf,
+        /// Its layout.
+        layout: Layout,
+        /// A path of another layout.
+        second: PathBuf,
+        /// That layout.
+        other: Layout,
+    },
+    /// The same recording from two places.
+    #[error("{what} is in {} and in {}: leave one of them out", .first.display(), .second.display())]
+    Twice {
+        /// What is there twice.
+        what: String,
+        /// The first place.
+        first: PathBuf,
+        /// The second.
+        second: PathBuf,
+    },
+    /// Recordings that are to be filtered, but were already.
+    #[error("{} lies in a folder `filtered`: give --filtered, or the recordings in `raw`", .file.display())]
+    Filtered {
+        /// The first such file.
+        file: PathBuf,
+    },
+    /// Recordings that are not to be filtered, but should be.
+    #[error(
+        "{} lies in a folder `raw`: leave out --filtered, or give the recordings in `filtered`",
+        .file.display()
+    )]
+    NotFiltered {
+        /// The first such file.
+        file: PathBuf,
+    },
+    /// Tables with labels, whose sampling rate was not given.
+    #[error(
+        "the files that {} names do not tell their sampling rate: give --recording-rate-hz, e.g. 2000",
+        .labels.display()
+    )]
+    NoRate {
+        /// The labels file.
+        labels: PathBuf,
+    },
+    /// More repetitions than `repetitions.npy` can number.
+    #[error(
+        "the repetitions of person {person}, counted through all sessions, are more than 256: number them from 0 in \
+         each session"
+    )]
+    TooManyRepetitions {
+        /// The person.
+        person: u16,
+    },
+}

@@ -1,0 +1,81 @@
+//! What stands beside the arrays of a data set: settings, counts, and what became of each trial.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use tendon_gesture::Gesture;
+use tendon_recordings::SkippedEntry;
+
+use crate::settings::DatasetSettings;
+use crate::split::{SplitEntry, TrainingStatistics};
+use crate::trial::{OnsetStatistics, RecordingEntry};
+
+/// What was made of which recordings.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// The settings it was made with.
+    pub settings: DatasetSettings,
+    /// Windows in all.
+    pub windows: u64,
+    /// Windows of each gesture, by name.
+    pub windows_per_gesture: BTreeMap<String, u64>,
+    /// Windows of each person, by number.
+    pub windows_per_person: BTreeMap<u16, u64>,
+    /// Trials, rest not counted, in which no onset was found.
+    pub fallbacks: u64,
+    /// How onsets were found, by gesture, and over all as `total`: the paper's table of fallbacks.
+    pub onsets: BTreeMap<String, OnsetStatistics>,
+    /// What the windows are for.
+    pub split: SplitEntry,
+    /// What the windows for training hold.
+    pub training_statistics: TrainingStatistics,
+    /// Every trial that was used, in the order of the windows.
+    pub recordings: Vec<RecordingEntry>,
+    /// Everything that was not used.
+    pub skipped: Vec<SkippedEntry>,
+    /// What the user should know about the recordings.
+    pub notices: Vec<String>,
+}
+
+/// What the builder knows of a data set when its windows are written.
+pub(crate) struct Content {
+    pub(crate) windows: u64,
+    pub(crate) recordings: Vec<RecordingEntry>,
+    pub(crate) skipped: Vec<SkippedEntry>,
+    pub(crate) notices: Vec<String>,
+}
+
+impl Manifest {
+    pub(crate) fn of(
+        settings: &DatasetSettings,
+        content: Content,
+        split: SplitEntry,
+        training_statistics: TrainingStatistics,
+    ) -> Manifest {
+        let Content { windows, recordings, skipped, notices } = content;
+        let mut windows_per_gesture = BTreeMap::new();
+        let mut windows_per_person = BTreeMap::new();
+        for entry in &recordings {
+            *windows_per_gesture.entry(entry.gesture.name().to_owned()).or_default() += entry.windows;
+            *windows_per_person.entry(entry.person).or_default() += entry.windows;
+        }
+        let of_gesture = |gesture: Gesture| {
+            let statistics = OnsetStatistics::of(recordings.iter().filter(|entry| entry.gesture == gesture));
+            (gesture.name().to_owned(), statistics)
+        };
+        let total = ("total".to_owned(), OnsetStatistics::of(recordings.iter()));
+        Manifest {
+            settings: settings.clone(),
+            windows,
+            windows_per_gesture,
+            windows_per_person,
+            fallbacks: recordings.iter().filter(|entry| entry.fallback).count() as u64,
+            onsets: Gesture::ACTIVE.into_iter().map(of_gesture).chain([total]).collect(),
+            split,
+            training_statistics,
+            recordings,
+            skipped,
+            notices,
+        }
+    }
+}

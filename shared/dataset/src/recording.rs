@@ -1,0 +1,96 @@
+//! One recording of a data set, whatever its layout.
+
+use std::path::PathBuf;
+
+use tendon_recordings::{
+    RecordingError, RecordingSettings, RecordingSource, ReplayStream, Segment, SkippedEntry, ozdemir,
+    three_dc,
+};
+
+use crate::settings::DatasetSettings;
+
+/// One person's samples without a gap, through which the filter runs without a break, made of trials.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// The file, or the folder whose files it is made of.
+    pub path: PathBuf,
+    /// Number of the person.
+    pub person: u16,
+    /// When it was made, in the words of its layout: `train` and `test` of 3DC.
+    pub session: String,
+    /// Repetitions of the person's sessions before this one.
+    pub(crate) repetitions_before: u32,
+    pub(crate) content: Content,
+}
+
+/// What tells a recording's samples and trials.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Content {
+    /// A repetition of a 3DC folder.
+    ThreeDc { repetition: u32 },
+    /// A `.mat` file of Ozdemir 2022.
+    OzdemirMat,
+    /// A text table, divided like this.
+    Table { segments: Vec<Segment>, default_hz: Option<f64> },
+}
+
+impl Recording {
+    /// Opens it to be read.
+    pub(crate) fn open(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
+        match &self.content {
+            Content::ThreeDc { repetition } => {
+                let settings = RecordingSettings {
+                    channels: settings.channels.clone(),
+                    sample_rate_hz: settings.recording_rate_hz,
+                    repetition: Some(*repetition),
+                };
+                RecordingSource::open(&self.path, &settings)
+            }
+            Content::OzdemirMat => ozdemir::open(&self.path, &settings.channels, settings.recording_rate_hz),
+            Content::Table { segments, default_hz } => {
+                let rate_hz = settings.recording_rate_hz.or(*default_hz);
+                let rate_hz =
+                    rate_hz.ok_or_else(|| RecordingError::SampleRateMissing { file: self.path.clone() })?;
+                RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)
+            }
+        }
+    }
+
+    /// Opens it to be replayed in blocks of `block_samples`, at the rate of `settings` and with its channels.
+    ///
+    /// # Errors
+    /// When it cannot be opened, or its rate cannot be brought to that of `settings`.
+    pub fn stream(
+        &self,
+        settings: &DatasetSettings,
+        block_samples: usize,
+    ) -> Result<ReplayStream, RecordingError> {
+        ReplayStream::of(self.open(settings)?, settings.sample_rate_hz, block_samples)
+    }
+
+    /// A repetition of this session, counted through all sessions of the person.
+    pub(crate) fn repetition_of_all(&self, repetition: u32) -> u8 {
+        u8::try_from(self.repetitions_before + repetition).unwrap_or(u8::MAX)
+    }
+
+    /// What went wrong with it, for the list of what was left out.
+    pub(crate) fn skipped(&self, error: &RecordingError) -> SkippedEntry {
+        let reason = match &self.content {
+            Content::ThreeDc { repetition } => format!("repetition {repetition}: {error}"),
+            Content::OzdemirMat | Content::Table { .. } => error.to_string(),
+        };
+        SkippedEntry { path: self.path.clone(), reason }
+    }
+
+    /// Its files.
+    pub(crate) fn files(&self) -> Vec<PathBuf> {
+        match &self.content {
+            Content::ThreeDc { repetition } => three_dc::list(&self.path)
+                .ok()
+                .and_then(|mut files| files.remove(repetition))
+                .map(|files| files.into_values().collect())
+                .unwrap_or_default(),
+            Content::OzdemirMat | Content::Table { .. } => vec![self.path.clone()],
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! Reads a whole recording once, so that a bad one is refused before anything starts.
+
+use std::path::Path;
+
+use crate::error::RecordingError;
+use crate::segment::{Notice, Segment};
+use crate::source::{FRAMES_AT_ONCE, Frame, RecordingSettings, RecordingSource};
+
+/// What a whole recording holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// Samples of each channel.
+    pub samples: u64,
+    /// Sampling rate in Hz.
+    pub sample_rate_hz: f64,
+    /// Length in seconds.
+    pub duration_s: f64,
+    /// Columns of the first file, chosen or not.
+    pub file_channels: usize,
+    /// The files in order, with their cues.
+    pub cues: Vec<CueSpan>,
+    /// What its user should know.
+    pub notices: Vec<Notice>,
+}
+
+/// The part of a recording that one segment, and so one cue, holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CueSpan {
+    /// The segment and its cue.
+    pub segment: Segment,
+    /// Index of its first sample.
+    pub first_sample: u64,
+    /// Its samples.
+    pub samples: u64,
+}
+
+/// Reads the whole recording once, so that a bad one is refused before anything starts.
+///
+/// # Errors
+/// The first thing that is wrong with it.
+pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, RecordingError> {
+    let mut source = RecordingSource::open(path, settings)?;
+    let mut frames = vec![0.0; FRAMES_AT_ONCE * source.channels()];
+    let mut counts = vec![0_u64; source.segments().len()];
+    while let Some((count, Frame { segment, .. })) = source.next_frames(&mut frames)? {
+        counts[segment] += count as u64;
+    }
+    let mut samples = 0;
+    let cues = source.segments().iter().zip(counts).map(|(segment, count)| {
+        let span = CueSpan { segment: segment.clone(), first_sample: samples, samples: count };
+        samples += count;
+        span
+    });
+    let cues = cues.collect();
+    let sample_rate_hz = source.sample_rate_hz();
+    Ok(Summary {
+        samples,
+        sample_rate_hz,
+        duration_s: samples as f64 / sample_rate_hz,
+        file_channels: source.file_channels(),
+        cues,
+        notices: source.notices().to_vec(),
+    })
+}

@@ -1,0 +1,66 @@
+//! The parts that a recording is made of, and what is known about each.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use tendon_gesture::Gesture;
+
+/// A file of a recording, or a part of one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Segment {
+    /// The file.
+    pub file: PathBuf,
+    /// Repetition that the segment is a trial of; `None` of a plain table and of what lies between trials.
+    pub repetition: Option<u32>,
+    /// What the person was asked to do; `None` if unknown or none of ours.
+    pub cue: Option<Gesture>,
+    /// Index within the file of the first sample that is no longer of this segment, at the recording's rate;
+    /// `None` if it lasts to the end of the file.
+    pub end_sample: Option<u64>,
+}
+
+/// Something about a recording that does not keep it from being read, but that its user should know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Notice {
+    /// A repetition lacks a file: what is before and after it is not continuous.
+    MissingFile {
+        /// The file that is not there.
+        file: PathBuf,
+    },
+    /// A folder lacks a repetition between others.
+    MissingRepetition {
+        /// The folder.
+        folder: PathBuf,
+        /// The repetition that is not there.
+        repetition: u32,
+    },
+}
+
+impl fmt::Display for Notice {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Notice::MissingFile { file } => {
+                write!(formatter, "{} is missing: the recording jumps there", file.display())
+            }
+            Notice::MissingRepetition { folder, repetition } => {
+                write!(formatter, "{} has no repetition {repetition}", folder.display())
+            }
+        }
+    }
+}
+
+/// A file, a part of one, or a whole recording that was left out.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SkippedEntry {
+    /// The file, or the folder of the recording.
+    pub path: PathBuf,
+    /// Why.
+    pub reason: String,
+}
+
+impl fmt::Display for SkippedEntry {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}: {}", self.path.display(), self.reason)
+    }
+}

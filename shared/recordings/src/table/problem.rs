@@ -1,0 +1,104 @@
+//! What can be wrong with a table, and where.
+
+/// A place in a table that cannot be read, and why.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}, column {column}: {problem}")]
+pub struct TableError {
+    /// Line, counted from 1; a header line counts.
+    pub line: u64,
+    /// Column, counted from 1: column 1 is channel 0. Where values are missing, the first missing one.
+    pub column: usize,
+    /// What is wrong there and what to do.
+    pub problem: TableProblem,
+}
+
+/// What can be wrong with a place in a table. Each message says what to do.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TableProblem {
+    /// There is no line with numbers.
+    #[error("the file has no samples: record it again or leave it out")]
+    Empty,
+    /// A blank line with samples after it.
+    #[error("blank line before the end: delete it, or cut the file in two if samples were lost here")]
+    BlankLine,
+    /// More or fewer values than line 1 has.
+    #[error(
+        "expected {expected} values as in line 1, found {found}: complete or delete this line \
+         (deleting shortens the recording by one sample)"
+    )]
+    Ragged {
+        /// Values in line 1.
+        expected: usize,
+        /// Values in this line.
+        found: usize,
+    },
+    /// The last line has no newline and is incomplete: the file was cut off while it was written.
+    #[error(
+        "the file is truncated: its last line ends after {found} of {expected} values; \
+         delete that line or copy the file again"
+    )]
+    Truncated {
+        /// Values in line 1.
+        expected: usize,
+        /// Values that are complete.
+        found: usize,
+    },
+    /// Nothing between two separators.
+    #[error("empty cell: fill in the sample or cut the recording here")]
+    EmptyCell,
+    /// A word that stands for a missing sample, such as `NULL`.
+    #[error("missing sample `{0}`: cut the recording here, or fill the gap before replaying it")]
+    MissingSample(String),
+    /// NaN, infinity, or a number too large for 32-bit floating point.
+    #[error("`{0}` is not a finite sample: cut the recording here or choose other channels")]
+    NotFinite(String),
+    /// Text where a number belongs.
+    #[error(
+        "`{0}` is not a number: samples are written like -12 or 0.5e-3, with a point as decimal sign; \
+         choose other channels if this column holds no samples"
+    )]
+    NotANumber(String),
+    /// Bytes that are not UTF-8 text, or control characters.
+    #[error("binary or non-UTF-8 bytes: save the recording as UTF-8 text, one line a sample")]
+    NotText,
+    /// No channel was chosen.
+    #[error("no channel is chosen: choose at least one of the {columns} (channels 0 to {last})", last = .columns - 1)]
+    NoChannels {
+        /// Columns of the file.
+        columns: usize,
+    },
+    /// A chosen column number beyond the last column.
+    #[error("there is no channel {channel}: the file has {columns} (channels 0 to {last})", last = .columns - 1)]
+    MissingChannel {
+        /// The channel asked for.
+        channel: usize,
+        /// Columns of the file.
+        columns: usize,
+    },
+    /// A chosen name that the header line does not hold.
+    #[error("there is no channel named `{name}`: {}", available(.names))]
+    MissingName {
+        /// The name asked for.
+        name: String,
+        /// The names of the header line; empty when there is none.
+        names: Vec<String>,
+    },
+    /// A chosen name that the header line holds twice.
+    #[error("two columns are named `{0}`: choose by column number instead")]
+    AmbiguousName(String),
+    /// One column chosen twice.
+    #[error("channel {0} is chosen twice: choose each channel once")]
+    ChosenTwice(usize),
+}
+
+fn available(names: &[String]) -> String {
+    if names.is_empty() {
+        "the file has no header line; choose by column number, counted from 0".to_owned()
+    } else {
+        format!("choose among {}", names.join(", "))
+    }
+}
+
+pub(super) fn error_at(line: u64, column: usize, problem: TableProblem) -> TableError {
+    TableError { line, column, problem }
+}
