@@ -20,8 +20,9 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tendon_gesture::Gesture;
 use tendon_messages::{Permission, STATES, Stage, StateHeader, StopReason};
+use tendon_paths::runtime_folder;
 use tendon_system_tests::{Ended, Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until};
-use tendon_transport::{Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber, runtime_file};
+use tendon_transport::{Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber};
 use tendon_xarm_emulator::{Emulator, Fault, Listen};
 
 /// How long a stop may take on a machine that runs other tests at the same time.
@@ -47,7 +48,8 @@ impl EmulatedArm {
     fn start() -> EmulatedArm {
         let emulator = Emulator::start(Listen::anywhere()).unwrap();
         let Listen { address, control_port, .. } = emulator.listen;
-        let arm = EmulatedArm { emulator, mark: runtime_file(&format!("arm-{address}-{control_port}")) };
+        let mark = runtime_folder().unwrap().path().join(format!("arm-{address}-{control_port}"));
+        let arm = EmulatedArm { emulator, mark };
         // An arm that had the same port before is another one.
         arm.remove_mark();
         arm

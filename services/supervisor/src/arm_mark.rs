@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use tendon_config::XArmSettings;
-use tendon_transport::runtime_file;
+use tendon_paths::runtime_folder;
 
 /// The mark of one arm.
 #[derive(Debug)]
@@ -32,7 +32,7 @@ impl ArmMark {
     /// When the file cannot be made.
     pub fn set(arm: &XArmSettings) -> anyhow::Result<ArmMark> {
         let address = arm.address.context("robot.xarm.address is missing")?;
-        let path = runtime_file(&format!("arm-{address}-{}", arm.control_port));
+        let path = runtime_folder()?.path().join(format!("arm-{address}-{}", arm.control_port));
         let was_there = match fs::File::create_new(&path) {
             Ok(_) => false,
             Err(error) if error.kind() == ErrorKind::AlreadyExists => true,

@@ -1,17 +1,21 @@
 //! The stages as child processes: started, heard, started again, stopped, reaped.
 
+use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use nix::fcntl::{FcntlArg, SealFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::memfd::{MFdFlags, memfd_create};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use tendon_config::Config;
 use tendon_messages::Stage;
 use tendon_process::{Order, Ready};
 
@@ -61,13 +65,38 @@ fn write_if_there_is_room(pipe: &mut (impl Write + AsFd), line: &[u8]) -> std::i
     if is.intersects(PollFlags::POLLERR | PollFlags::POLLOUT) { pipe.write_all(line) } else { Ok(()) }
 }
 
+/// The configuration that the stages read: in memory, sealed, under a descriptor that they inherit. There is no file that
+/// somebody else could put another in place of.
+#[derive(Debug)]
+struct SealedConfig {
+    memory: OwnedFd,
+}
+
+impl SealedConfig {
+    fn new(text: &str) -> anyhow::Result<SealedConfig> {
+        let failed = "cannot keep the configuration in memory";
+        // Not closed on exec: the stages inherit it.
+        let memory = memfd_create("tendon-configuration", MFdFlags::MFD_ALLOW_SEALING).context(failed)?;
+        let mut file = File::from(memory);
+        file.write_all(text.as_bytes()).context(failed)?;
+        let seals =
+            SealFlag::F_SEAL_SEAL | SealFlag::F_SEAL_SHRINK | SealFlag::F_SEAL_GROW | SealFlag::F_SEAL_WRITE;
+        fcntl(&file, FcntlArg::F_ADD_SEALS(seals)).context(failed)?;
+        Ok(SealedConfig { memory: file.into() })
+    }
+
+    /// Where a process that inherited the descriptor reads it from its beginning: proc(5).
+    fn path(&self) -> String {
+        format!("/proc/self/fd/{}", self.memory.as_raw_fd())
+    }
+}
+
 /// All stages of a session. Dropping it kills and reaps what still runs.
 #[derive(Debug)]
 pub struct Children {
     /// Where the programs lie.
     folder: PathBuf,
-    /// The session's configuration.
-    config: PathBuf,
+    config: SealedConfig,
     events: Sender<Event>,
     running: Vec<Running>,
 }
@@ -80,14 +109,14 @@ struct Running {
 }
 
 impl Children {
-    /// Starts all stages, which lie beside this program, on the configuration at `config`. What they say
+    /// Starts all stages, which lie beside this program, on this configuration. What they say
     /// comes as `events`. With `arm_stays` the robot is started as after the end of another.
-    pub fn start(config: &Path, events: &Sender<Event>, arm_stays: bool) -> anyhow::Result<Children> {
+    pub fn start(config: &Config, events: &Sender<Event>, arm_stays: bool) -> anyhow::Result<Children> {
         let program = std::env::current_exe().context("cannot find this program's own folder")?;
         let folder = program.parent().context("this program is in no folder")?;
         let mut children = Children {
             folder: folder.to_owned(),
-            config: config.to_owned(),
+            config: SealedConfig::new(&config.to_toml())?,
             events: events.clone(),
             running: Vec::new(),
         };
@@ -106,7 +135,7 @@ impl Children {
         let path = self.folder.join(format!("tendon-{}", stage.name()));
         let mut process = Command::new(&path)
             .arg("--config")
-            .arg(&self.config)
+            .arg(self.config.path())
             .args(is_restarted.then_some("--restarted"))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -241,6 +270,16 @@ mod tests {
     use std::io::Read;
 
     use super::*;
+
+    #[test]
+    fn the_configuration_of_the_stages_cannot_be_changed() {
+        let config = SealedConfig::new("session = \"tendon\"").unwrap();
+        for _ in 0..2 {
+            assert_eq!(std::fs::read_to_string(config.path()).unwrap(), "session = \"tendon\"");
+        }
+        assert!(std::fs::write(config.path(), "session = \"other\"").is_err());
+        assert_eq!(std::fs::read_to_string(config.path()).unwrap(), "session = \"tendon\"");
+    }
 
     #[test]
     fn an_order_fits_the_pipe_of_a_process_that_hangs_however_many_heartbeats_came_before() {

@@ -7,7 +7,7 @@ use tendon_classifier::{Classifier, DEFAULT_REST_MOVE_MODEL_FILE};
 use tendon_config::{Config, Realtime, SchedulingSettings};
 use tendon_messages::Stage;
 use tendon_process::Policy;
-use tendon_transport::{Leftovers, SessionLock, SessionLockError, shared_memory_directory};
+use tendon_transport::{Leftovers, Removed, SessionLock, SessionLockError, shared_memory_directory};
 
 use crate::Failure;
 use crate::run::free_bytes;
@@ -155,9 +155,17 @@ fn leftovers(findings: &mut Findings, clean: bool) {
         found = true;
         match SessionLock::take(&session) {
             Ok(lock) if clean => {
-                let files = Leftovers::remove(&lock, &session);
+                let Removed { files, kept } = Leftovers::remove(&lock, &session);
                 let finding = format!("session `{session}`: {files} files of a dead session removed");
                 findings.add(Weight::Good, "leftovers", &finding);
+                if let Some(first) = kept.first() {
+                    let finding = format!(
+                        "session `{session}`: {} files cannot be removed, such as {}: whose are they?",
+                        kept.len(),
+                        first.display()
+                    );
+                    findings.add(Weight::Weak, "leftovers", &finding);
+                }
             }
             Ok(_) => {
                 let Leftovers { files, bytes } = Leftovers::of(&session);
@@ -168,8 +176,8 @@ fn leftovers(findings: &mut Findings, clean: bool) {
                 );
                 findings.add(Weight::Weak, "leftovers", &finding);
             }
-            Err(SessionLockError::InUse { process_id, .. }) => {
-                let finding = format!("none of session `{session}`: process {process_id} runs it");
+            Err(SessionLockError::InUse { holder, .. }) => {
+                let finding = format!("none of session `{session}`: {holder} runs it");
                 findings.add(Weight::Good, "leftovers", &finding);
             }
             Err(error) => findings.add(Weight::Weak, "leftovers", &error.to_string()),

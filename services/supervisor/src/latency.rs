@@ -52,7 +52,7 @@ fn watch(options: &Options, mut observer: Observer) -> anyhow::Result<()> {
         if shown.elapsed() >= options.interval {
             shown = Instant::now();
             print!("{}", running_table(begun.elapsed(), observer.measurements()));
-            if !observer.is_running()? {
+            if !observer.is_running() {
                 println!("session `{}` has ended", options.session);
                 break;
             }

@@ -1,6 +1,8 @@
 //! `tendon stop` and `tendon arm`: orders to the robot of a running session, past everything else.
 
+use anyhow::Context;
 use clap::Args;
+use nix::unistd::User;
 use tendon_process::{Order, order_robot};
 use tendon_transport::SessionName;
 
@@ -12,11 +14,22 @@ pub struct Options {
     /// Name of the session.
     #[arg(long, default_value = "tendon")]
     session: SessionName,
+    /// Whose session, if several users run one of this name; for root.
+    #[arg(long)]
+    user: Option<String>,
 }
 
 /// Gives the robot the order and says what it answered.
 pub fn give(options: &Options, order: Order) -> Result<(), Failure> {
-    let answer = order_robot(&options.session, order).map_err(Failure::running)?;
+    let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
+    let answer = order_robot(&options.session, user, order).map_err(Failure::running)?;
     println!("{answer}");
     Ok(())
+}
+
+fn user_number(name: &str) -> anyhow::Result<u32> {
+    let user = User::from_name(name).ok().flatten();
+    user.map(|user| user.uid.as_raw())
+        .or(name.parse().ok())
+        .with_context(|| format!("there is no user `{name}`"))
 }

@@ -283,10 +283,6 @@ pub fn free_bytes(folder: &Path) -> anyhow::Result<u64> {
 }
 
 fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
-    let config_file = config.session.runtime_file("toml");
-    std::fs::write(&config_file, config.to_toml())
-        .with_context(|| format!("cannot write {}", config_file.display()))
-        .map_err(Failure::input)?;
     let (sender, events) = channel();
     stop_on_signals(&sender).map_err(Failure::running)?;
     let observer = Observer::before_the_stages(&config.session, "supervisor").map_err(Failure::input)?;
@@ -310,7 +306,7 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
              and a rest",
         );
     }
-    let children = Children::start(&config_file, &sender, arm_stays).map_err(Failure::input)?;
+    let children = Children::start(config, &sender, arm_stays).map_err(Failure::input)?;
     let mut watch = Watch {
         config,
         events,

@@ -16,8 +16,7 @@ use tendon_messages::{
 };
 use tendon_report::SessionMeasurements;
 use tendon_transport::{
-    Delivery, Element, Leftovers, ReceiveError, Session, SessionError, SessionLock, SessionLockError,
-    SessionName, Subscriber,
+    Delivery, Element, Leftovers, ReceiveError, Session, SessionError, SessionName, Subscriber, own_user,
 };
 
 /// Why a session cannot be observed.
@@ -37,9 +36,6 @@ pub enum ObserverError {
         /// Topic name.
         topic: &'static str,
     },
-    /// The session's lock cannot be read.
-    #[error(transparent)]
-    Lock(#[from] SessionLockError),
     /// The session cannot be joined.
     #[error(transparent)]
     Session(#[from] SessionError),
@@ -80,7 +76,7 @@ impl Observer {
     ///
     /// [`ObserverError::NotRunning`] when there is no such session; else what keeps the observer out of it.
     pub fn join(name: &SessionName, program: &str) -> Result<Observer, ObserverError> {
-        if !is_running(name)? {
+        if !is_running(name) {
             return Err(ObserverError::NotRunning { session: name.clone() });
         }
         let session = Session::join(name, program)?;
@@ -171,11 +167,7 @@ impl Observer {
     }
 
     /// Whether the session still runs.
-    ///
-    /// # Errors
-    ///
-    /// When its lock cannot be read.
-    pub fn is_running(&self) -> Result<bool, ObserverError> {
+    pub fn is_running(&self) -> bool {
         is_running(self.session.name())
     }
 }
@@ -193,11 +185,7 @@ fn observe<H: Traced, E: Element>(
     opened.ok_or_else(|| ObserverError::NoTopic { session: session.name().clone(), topic: topic.name })
 }
 
-/// A session runs while a supervisor holds its lock.
-fn is_running(session: &SessionName) -> Result<bool, ObserverError> {
-    match SessionLock::take(session) {
-        Ok(_lock) => Ok(false),
-        Err(SessionLockError::InUse { .. }) => Ok(true),
-        Err(error) => Err(error.into()),
-    }
+/// A session runs while a supervisor of this user holds its name.
+fn is_running(session: &SessionName) -> bool {
+    session.supervisor(own_user()).is_some()
 }

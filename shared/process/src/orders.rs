@@ -1,5 +1,5 @@
-//! Orders to a running stage: from the supervisor by its standard input, and to the robot from anybody of the same
-//! user by a socket, so that a stop needs neither the supervisor nor shared memory.
+//! Orders to a running stage: from the supervisor by its standard input, and to the robot from its user and root by a
+//! socket, so that a stop needs neither the supervisor nor shared memory.
 //!
 //! ```text
 //! tendon run ──"alive", "stop", "arm", …──▶ standard input ─┐
@@ -8,15 +8,20 @@
 //!      ◀──── what came of it ────┘
 //! ```
 
-use std::io::ErrorKind;
-use std::os::fd::{AsFd, BorrowedFd};
-use std::os::unix::net::UnixDatagram;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::io::IoSliceMut;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use nix::errno::Errno;
+use nix::sys::socket::{
+    ControlMessageOwned, MsgFlags, UnixAddr, UnixCredentials, recvmsg, sendto, setsockopt, sockopt,
+};
 use tendon_gesture::Gesture;
-use tendon_transport::SessionName;
+use tendon_paths::{claimed_names, user_name};
+use tendon_transport::{SessionName, own_user};
 
 /// What a stage is told to do, one line of text each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +80,22 @@ pub enum OrderError {
     /// Nobody listens.
     #[error("no session `{0}` is running here: `tendon run` starts one, --session NAME names another")]
     NoSession(SessionName),
+    /// Somebody else's session.
+    #[error("session `{session}` belongs to {owner}: only {owner} and root can give it orders")]
+    OtherOwner {
+        /// Session name.
+        session: SessionName,
+        /// Name of the user who runs it.
+        owner: String,
+    },
+    /// Several users run a session of that name.
+    #[error("several users run a session `{session}`: choose one with --user: {users}")]
+    Ambiguous {
+        /// Session name.
+        session: SessionName,
+        /// Names of the users.
+        users: String,
+    },
     /// The robot process is there but does not answer.
     #[error(
         "the robot of session `{0}` does not answer: use the arm's emergency stop button. A robot process that \
@@ -82,43 +103,59 @@ pub enum OrderError {
     )]
     NoAnswer(SessionName),
     /// The socket could not be used.
-    #[error("{path}: {source}", path = path.display())]
+    #[error("cannot use the socket for orders to session `{session}`")]
     Socket {
-        /// The socket's file.
-        path: PathBuf,
+        /// Session name.
+        session: SessionName,
         /// The system's word.
         source: std::io::Error,
     },
 }
 
-/// A socket's file, gone when dropped.
+/// What the robot's socket is called in the kernel, for a session that `user` runs. It is no file, so that nobody can
+/// remove it while the arm moves.
+fn listening_name(user: u32, session: &SessionName) -> String {
+    format!("tendon.{user}.{session}.orders")
+}
+
+/// A datagram socket that learns from the kernel who sent what it receives.
 #[derive(Debug)]
 struct Socket {
     socket: UnixDatagram,
-    path: PathBuf,
+    /// Room for the sender's credentials and nothing else, so that nobody can hand us descriptors.
+    control: Vec<u8>,
+}
+
+/// One datagram: its sender's user and address, and how long it is.
+struct Datagram {
+    user: u32,
+    sender: Option<UnixAddr>,
+    length: usize,
 }
 
 impl Socket {
-    fn bind(path: PathBuf) -> std::io::Result<Socket> {
-        // One that a killed process left; the session's lock keeps living ones apart.
-        match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-        let socket = UnixDatagram::bind(&path)?;
-        Ok(Socket { socket, path })
+    fn new(socket: UnixDatagram) -> std::io::Result<Socket> {
+        setsockopt(&socket, sockopt::PassCred, &true)?;
+        Ok(Socket { socket, control: nix::cmsg_space!(UnixCredentials) })
     }
-}
 
-impl Drop for Socket {
-    fn drop(&mut self) {
-        // One that stays is no harm: the next session of the name replaces it.
-        let _ = std::fs::remove_file(&self.path);
+    fn receive(&mut self, bytes: &mut [u8]) -> nix::Result<Datagram> {
+        let mut room = [IoSliceMut::new(bytes)];
+        let flags = MsgFlags::MSG_CMSG_CLOEXEC;
+        let message =
+            recvmsg::<UnixAddr>(self.socket.as_raw_fd(), &mut room, Some(&mut self.control), flags)?;
+        let user = message.cmsgs()?.find_map(|message| match message {
+            ControlMessageOwned::ScmCredentials(credentials) => Some(credentials.uid()),
+            _ => None,
+        });
+        // The kernel gives the credentials of every datagram to a socket that asks for them.
+        let user = user.ok_or(Errno::EPERM)?;
+        Ok(Datagram { user, sender: message.address, length: message.bytes })
     }
-}
 
-fn listening_path(session: &SessionName) -> PathBuf {
-    session.runtime_file("orders")
+    fn send(&self, text: &str, to: &UnixAddr) -> nix::Result<usize> {
+        sendto(self.socket.as_raw_fd(), text.as_bytes(), to, MsgFlags::MSG_DONTWAIT)
+    }
 }
 
 /// The robot's end.
@@ -126,36 +163,45 @@ fn listening_path(session: &SessionName) -> PathBuf {
 pub(crate) struct OrderSocket {
     socket: Socket,
     /// Who waits for the answer to the newest order.
-    asker: Option<PathBuf>,
+    asker: Option<UnixAddr>,
 }
 
 impl OrderSocket {
     pub(crate) fn open(session: &SessionName) -> anyhow::Result<OrderSocket> {
-        let path = listening_path(session);
-        let failed = || format!("cannot listen for orders at {}", path.display());
-        let socket = Socket::bind(path.clone()).with_context(failed)?;
-        socket.socket.set_nonblocking(true).with_context(failed)?;
-        Ok(OrderSocket { socket, asker: None })
+        let name = listening_name(own_user(), session);
+        let failed =
+            || format!("cannot listen for orders at the socket @{name}: does another robot process do so?");
+        let address = SocketAddr::from_abstract_name(&name).with_context(failed)?;
+        let socket = UnixDatagram::bind_addr(&address).with_context(failed)?;
+        socket.set_nonblocking(true).with_context(failed)?;
+        Ok(OrderSocket { socket: Socket::new(socket).with_context(failed)?, asker: None })
     }
 
-    /// The next order that has come; what is none of ours is passed over.
+    /// The next order that has come from this user or root; everything else is passed over.
     pub(crate) fn receive(&mut self) -> Option<Order> {
         let mut bytes = [0; MAXIMUM_LINE_LENGTH];
-        // That nothing is there, or no more, is the only error that a bound socket gives.
-        while let Ok((length, sender)) = self.socket.socket.recv_from(&mut bytes) {
-            if let Some(order) = std::str::from_utf8(&bytes[..length]).ok().and_then(Order::parse) {
-                self.asker = sender.as_pathname().map(Path::to_owned);
-                return Some(order);
+        loop {
+            match self.socket.receive(&mut bytes) {
+                Ok(Datagram { user, sender, length }) if user == own_user() || user == 0 => {
+                    let order = std::str::from_utf8(&bytes[..length]).ok().and_then(Order::parse);
+                    if order.is_some() {
+                        self.asker = sender;
+                        return order;
+                    }
+                }
+                // From somebody else, or without a sender.
+                Ok(_) | Err(Errno::EPERM | Errno::EINTR | Errno::ENOBUFS) => {}
+                // That nothing more is there is the only other error that a bound socket gives.
+                Err(_) => return None,
             }
         }
-        None
     }
 
     /// Tells who gave the newest order what came of it.
     pub(crate) fn answer(&mut self, text: &str) {
         if let Some(asker) = self.asker.take() {
-            // One that is gone needs no answer.
-            let _ = self.socket.socket.send_to(text.as_bytes(), asker);
+            // One that is gone, or does not read, needs no answer.
+            let _ = self.socket.send(text, &asker);
         }
     }
 }
@@ -166,32 +212,67 @@ impl AsFd for OrderSocket {
     }
 }
 
-/// Gives the robot of a session an order and returns its answer.
+/// Whose session of this name an order goes to: `user`'s, else one's own, else, for root, that of the one user who runs
+/// one.
+fn addressee(session: &SessionName, user: Option<u32>) -> Result<u32, OrderError> {
+    let listens =
+        |user: u32| claimed_names(&listening_name(user, session)).contains(&listening_name(user, session));
+    if let Some(user) = user {
+        return if listens(user) { Ok(user) } else { Err(OrderError::NoSession(session.clone())) };
+    }
+    if listens(own_user()) {
+        return Ok(own_user());
+    }
+    let ending = format!(".{session}.orders");
+    let users: Vec<u32> = claimed_names("tendon.")
+        .iter()
+        .filter_map(|name| name.strip_prefix("tendon.")?.strip_suffix(&ending)?.parse().ok())
+        .collect();
+    match users[..] {
+        [] => Err(OrderError::NoSession(session.clone())),
+        [user] if own_user() == 0 => Ok(user),
+        [user] => Err(OrderError::OtherOwner { session: session.clone(), owner: user_name(user) }),
+        _ => {
+            let users: Vec<String> = users.into_iter().map(user_name).collect();
+            Err(OrderError::Ambiguous { session: session.clone(), users: users.join(", ") })
+        }
+    }
+}
+
+/// Gives the robot of a session an order and returns its answer. The session is that of `user`, if given; else one's own,
+/// or, for root, that of the one user who runs a session of this name.
 ///
 /// # Errors
 ///
 /// [`OrderError`] when nobody listens or answers.
-pub fn order_robot(session: &SessionName, order: Order) -> Result<String, OrderError> {
-    let listening = listening_path(session);
-    let own = session.runtime_file(&format!("asks-{}", std::process::id()));
-    let failed = |source| OrderError::Socket { path: own.clone(), source };
-    if !listening.exists() {
-        return Err(OrderError::NoSession(session.clone()));
-    }
-    let own = Socket::bind(own.clone()).map_err(failed)?;
-    own.socket.set_read_timeout(Some(ANSWER_TIMEOUT)).map_err(failed)?;
-    match own.socket.send_to(order.line().as_bytes(), &listening) {
+pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Result<String, OrderError> {
+    let user = addressee(session, user)?;
+    let failed = |source: std::io::Error| OrderError::Socket { session: session.clone(), source };
+    let system = |error: Errno| failed(error.into());
+    let to = UnixAddr::new_abstract(listening_name(user, session).as_bytes()).map_err(system)?;
+    let socket = UnixDatagram::unbound().map_err(failed)?;
+    socket.set_read_timeout(Some(ANSWER_TIMEOUT)).map_err(failed)?;
+    let mut own = Socket::new(socket).map_err(failed)?;
+    match own.send(&order.line(), &to) {
         Ok(_) => {}
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::ConnectionRefused) => {
-            return Err(OrderError::NoSession(session.clone()));
-        }
-        Err(source) => return Err(OrderError::Socket { path: listening, source }),
+        Err(Errno::ECONNREFUSED) => return Err(OrderError::NoSession(session.clone())),
+        // Its queue is full of orders that it does not take.
+        Err(Errno::EAGAIN) => return Err(OrderError::NoAnswer(session.clone())),
+        Err(error) => return Err(system(error)),
     }
+    let asked = Instant::now();
     let mut answer = [0; MAXIMUM_LINE_LENGTH];
-    match own.socket.recv(&mut answer) {
-        Ok(length) => Ok(String::from_utf8_lossy(&answer[..length]).into_owned()),
-        Err(_) => Err(OrderError::NoAnswer(session.clone())),
+    while asked.elapsed() < ANSWER_TIMEOUT {
+        match own.receive(&mut answer) {
+            // Whoever else listens at that name cannot say that the arm is stopped.
+            Ok(datagram) if datagram.user == user => {
+                return Ok(String::from_utf8_lossy(&answer[..datagram.length]).into_owned());
+            }
+            Ok(_) | Err(Errno::EPERM | Errno::EINTR) => {}
+            Err(_) => break,
+        }
     }
+    Err(OrderError::NoAnswer(session.clone()))
 }
 
 #[cfg(test)]
@@ -218,12 +299,11 @@ mod tests {
     #[test]
     fn an_order_by_socket_is_answered_and_nobody_is_no_session() {
         let session: SessionName = format!("orders-{}", std::process::id()).parse().unwrap();
-        std::fs::create_dir_all(listening_path(&session).parent().unwrap()).unwrap();
-        assert!(matches!(order_robot(&session, Order::Stop), Err(OrderError::NoSession(_))));
+        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoSession(_))));
         let mut robot = OrderSocket::open(&session).unwrap();
         let asked = {
             let session = session.clone();
-            std::thread::spawn(move || order_robot(&session, Order::Stop))
+            std::thread::spawn(move || order_robot(&session, None, Order::Stop))
         };
         let order = loop {
             if let Some(order) = robot.receive() {
@@ -234,11 +314,16 @@ mod tests {
         assert_eq!(order, Order::Stop);
         robot.answer("stopped");
         assert_eq!(asked.join().unwrap().unwrap(), "stopped");
-        // A robot that was killed leaves the file, and is no session either.
-        let file = listening_path(&session);
+        // One that hangs fills its queue, and nobody waits for ever.
+        for _ in 0..20 {
+            robot.socket.send("stop", &address(&session)).unwrap_or_default();
+        }
+        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoAnswer(_))));
         drop(robot);
-        drop(UnixDatagram::bind(&file).unwrap());
-        assert!(matches!(order_robot(&session, Order::Stop), Err(OrderError::NoSession(_))));
-        std::fs::remove_file(file).unwrap();
+        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoSession(_))));
+    }
+
+    fn address(session: &SessionName) -> UnixAddr {
+        UnixAddr::new_abstract(listening_name(own_user(), session).as_bytes()).unwrap()
     }
 }

@@ -23,7 +23,7 @@ mod wake;
 pub use clock::now_ns;
 pub use publisher::{Element, Loan, PublishError, Publisher};
 pub use session::{
-    Delivery, InvalidSessionName, Leftovers, Session, SessionError, SessionLock, SessionLockError,
-    SessionName, required_bytes, runtime_file, shared_memory_directory,
+    Delivery, InvalidSessionName, Leftovers, Removed, Session, SessionError, SessionLock, SessionLockError,
+    SessionName, own_user, required_bytes, running_sessions, shared_memory_directory,
 };
 pub use subscriber::{ReceiveError, Received, Subscriber};

@@ -1,9 +1,6 @@
 //! Sessions: names that keep two runs on one machine apart, and what a run leaves behind.
 
 use core::fmt::{self, Debug, Display};
-use std::fs::{File, OpenOptions};
-use std::io::{Read, Write};
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
@@ -15,9 +12,12 @@ use iceoryx2::prelude::{
 };
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::publish_subscribe;
-use nix::fcntl::{Flock, FlockArg};
 use serde::{Deserialize, Serialize};
 use tendon_messages::{Topic, Traced};
+use tendon_paths::{
+    Claim, ClaimError, Holder, PathError, PrivateFolder, claimed_names, runtime_folder, runtime_folders,
+    user_name,
+};
 
 use crate::publisher::Element;
 
@@ -31,6 +31,10 @@ const MAXIMUM_PUBLISHERS: usize = 8;
 const MAXIMUM_NODES: usize = 24;
 /// A segment of shared memory that is empty for so long has lost its maker.
 const LONGEST_EMPTY: Duration = Duration::from_secs(1);
+/// Longest path of a Unix socket: unix(7).
+const MAXIMUM_SOCKET_PATH: usize = 107;
+/// What iceoryx2 adds to folder and prefix for an event's socket: a slash, a port of 39 digits and `.event`.
+const SOCKET_NAME_LENGTH: usize = 46;
 /// Longest session name: with it, the paths of iceoryx2's Unix sockets stay below the kernel's 108 bytes.
 const MAXIMUM_NAME_LENGTH: usize = 24;
 
@@ -80,16 +84,20 @@ impl Display for SessionName {
 }
 
 impl SessionName {
-    /// What the names of this session's shared-memory files start with. The dots cannot be part of a session
-    /// name, so no prefix is the start of another.
+    /// What the names of this user's shared-memory files for this session start with. The dots cannot be part of a
+    /// session name, so no prefix is the start of another.
     fn prefix(&self) -> String {
-        format!("tendon.{}.", self.0)
+        format!("{}.", self.claim_of(own_user()))
     }
 
-    /// A file of this session with the ending `ending`, in the runtime directory. It goes with the session's
-    /// other leftovers.
-    pub fn runtime_file(&self, ending: &str) -> PathBuf {
-        runtime_directory().join(format!("{}{ending}", self.prefix()))
+    /// The name in the kernel that the supervisor of this session holds, if `user` runs it.
+    fn claim_of(&self, user: u32) -> String {
+        format!("tendon.{user}.{}", self.0)
+    }
+
+    /// Who runs the session of this name for `user`; `None` if nobody does. Somebody else cannot pass for `user`.
+    pub fn supervisor(&self, user: u32) -> Option<Holder> {
+        Holder::of(&self.claim_of(user)).filter(|holder| holder.user == user)
     }
 
     /// A file of this session with the ending `ending`, in shared memory. It goes with the session's other
@@ -98,13 +106,12 @@ impl SessionName {
         shared_memory_directory().join(format!("{}{ending}", self.prefix()))
     }
 
-    /// iceoryx2's configuration for this session.
-    fn config(&self) -> Config {
+    /// iceoryx2's configuration for this session, whose run-time state lies in `folder`.
+    fn config(&self, folder: &Path) -> Config {
         let mut config = Config::default();
-        let root = runtime_directory();
         config.global.set_root_path(
-            &iceoryx2::prelude::Path::new(root.as_os_str().as_encoded_bytes())
-                .expect("the runtime directory is a short ASCII path made by this module"),
+            &iceoryx2::prelude::Path::new(folder.as_os_str().as_encoded_bytes())
+                .expect("a run-time folder is short and was opened before"),
         );
         config.global.prefix = iceoryx2::prelude::FileName::new(self.prefix().as_bytes())
             .expect("a session name has only characters that file names may have");
@@ -115,16 +122,30 @@ impl SessionName {
         config.global.service.cleanup_dead_nodes_on_open = false;
         config
     }
+
+    /// Where the run-time state of this user's session lies: where its supervisor says, if one runs, whatever this
+    /// process's own environment says.
+    fn folder(&self) -> Result<PrivateFolder, PathError> {
+        match self.supervisor(own_user()).filter(|supervisor| !supervisor.card.is_empty()) {
+            Some(supervisor) => PrivateFolder::open(Path::new(&supervisor.card)),
+            None => runtime_folder(),
+        }
+    }
 }
 
-/// A file in the runtime directory that belongs to no session and outlives them. Its name must not start with `tendon.`.
-pub fn runtime_file(name: &str) -> PathBuf {
-    runtime_directory().join(name)
+/// The user that this process acts for.
+pub fn own_user() -> u32 {
+    nix::unistd::geteuid().as_raw()
 }
 
-/// Where the files of all sessions live that are not shared memory: one folder a user.
-fn runtime_directory() -> PathBuf {
-    PathBuf::from(format!("/tmp/tendon-{}", nix::unistd::getuid()))
+/// Sessions that run now: user and name.
+pub fn running_sessions() -> Vec<(u32, SessionName)> {
+    let parse = |claim: String| -> Option<(u32, SessionName)> {
+        let (user, name) = claim.strip_prefix("tendon.")?.split_once('.')?;
+        let (user, name) = (user.parse().ok()?, name.parse::<SessionName>().ok()?);
+        name.supervisor(user).map(|_| (user, name))
+    };
+    claimed_names("tendon.").into_iter().filter_map(parse).collect()
 }
 
 /// Where the kernel keeps POSIX shared memory.
@@ -168,6 +189,12 @@ pub enum SessionError {
         /// iceoryx2's own word.
         reason: String,
     },
+    /// The folder of run-time state cannot be used.
+    #[error(transparent)]
+    Folder(#[from] PathError),
+    /// The paths of this session's sockets would be longer than the kernel takes.
+    #[error("session name `{0}` is too long for a user with so long a number: take 18 characters at most")]
+    NameTooLong(SessionName),
     /// What wakes the subscribers of a topic could not be used.
     #[error("topic `{topic}`: cannot use {}; remove it, or give it to this user", path.display())]
     Wake {
@@ -183,14 +210,6 @@ pub enum SessionError {
     NoSeat {
         /// Topic name.
         topic: &'static str,
-    },
-    /// The folder for sockets and locks could not be used.
-    #[error("cannot use {}: {source}; remove it, or give it to this user", path.display())]
-    RuntimeDirectory {
-        /// The folder or file.
-        path: PathBuf,
-        /// The system's word.
-        source: std::io::Error,
     },
 }
 
@@ -217,12 +236,16 @@ impl Session {
     /// [`SessionError::Join`] when iceoryx2 cannot create its node.
     pub fn join(name: &SessionName, process: &str) -> Result<Session, SessionError> {
         iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
+        let folder = name.folder()?;
+        if folder.path().as_os_str().len() + name.prefix().len() + SOCKET_NAME_LENGTH > MAXIMUM_SOCKET_PATH {
+            return Err(SessionError::NameTooLong(name.clone()));
+        }
         let join_error =
             |reason: &dyn Debug| SessionError::Join { session: name.clone(), reason: format!("{reason:?}") };
         let node = NodeBuilder::new()
             .name(&NodeName::new(process).map_err(|error| join_error(&error))?)
             .signal_handling_mode(SignalHandlingMode::Disabled)
-            .config(&name.config())
+            .config(&name.config(folder.path()))
             .create::<ipc::Service>()
             .map_err(|error| join_error(&error))?;
         Ok(Session { name: name.clone(), node })
@@ -283,15 +306,7 @@ impl Session {
 /// The right to be the one supervisor of a session; given back when dropped or when the process dies.
 #[derive(Debug)]
 pub struct SessionLock {
-    path: PathBuf,
-    _file: Flock<File>,
-}
-
-impl Drop for SessionLock {
-    fn drop(&mut self) {
-        // While still locked, so that nobody else's file goes; one that stays is no harm.
-        let _ = std::fs::remove_file(&self.path);
-    }
+    _claim: Claim,
 }
 
 /// Why a session cannot be taken.
@@ -299,65 +314,56 @@ impl Drop for SessionLock {
 pub enum SessionLockError {
     /// Another supervisor runs it.
     #[error(
-        "session `{session}` is in use by process {process_id}: stop that one, or choose another name with \
-         --session"
+        "session `{session}` is in use by {holder}: stop that one, or choose another name with --session"
     )]
     InUse {
         /// Session name.
         session: SessionName,
-        /// The other supervisor, as it wrote it down.
-        process_id: String,
+        /// The other supervisor: process and, if it is another's, user.
+        holder: String,
     },
-    /// The lock file could not be used.
+    /// The system refused.
+    #[error("cannot take session `{session}`")]
+    System {
+        /// Session name.
+        session: SessionName,
+        /// The system's reason.
+        source: ClaimError,
+    },
+    /// There is no place for run-time state.
     #[error(transparent)]
-    File(#[from] SessionError),
+    Folder(#[from] PathError),
 }
 
 impl SessionLock {
-    /// Takes the session.
+    /// Takes the session. No file stands for it, so nobody can remove it; the kernel knows who holds it.
     ///
     /// # Errors
     ///
     /// [`SessionLockError::InUse`] while another process holds it.
     pub fn take(session: &SessionName) -> Result<SessionLock, SessionLockError> {
-        let directory = runtime_directory();
-        let failed = |path: &Path, source| {
-            SessionLockError::File(SessionError::RuntimeDirectory { path: path.to_owned(), source })
-        };
-        std::fs::create_dir_all(&directory).map_err(|error| failed(&directory, error))?;
-        let path = directory.join(format!("lock.{session}"));
-        loop {
-            let file = OpenOptions::new()
-                .create(true)
-                .truncate(false)
-                .read(true)
-                .write(true)
-                .open(&path)
-                .map_err(|error| failed(&path, error))?;
-            match Flock::lock(file, FlockArg::LockExclusiveNonblock) {
-                Ok(mut file) => {
-                    // The holder before may have removed the file between our opening and our locking it.
-                    if file.metadata().map_err(|error| failed(&path, error))?.nlink() == 0 {
-                        continue;
+        let folder = runtime_folder()?;
+        let card = folder.path().to_string_lossy();
+        match Claim::take(&session.claim_of(own_user()), &card) {
+            Ok(claim) => Ok(SessionLock { _claim: claim }),
+            Err(ClaimError::Held(holder)) => {
+                let holder = match holder {
+                    Some(Holder { process_id, user, .. }) if user == own_user() => {
+                        format!("process {process_id}")
                     }
-                    // A holder that was killed left its number.
-                    file.set_len(0).map_err(|error| failed(&path, error))?;
-                    write!(file, "{}", std::process::id()).map_err(|error| failed(&path, error))?;
-                    return Ok(SessionLock { path, _file: file });
-                }
-                Err((mut file, _)) => {
-                    let mut process_id = String::new();
-                    if file.read_to_string(&mut process_id).is_err() || process_id.is_empty() {
-                        process_id = "(unknown)".to_owned();
+                    Some(Holder { process_id, user, .. }) => {
+                        format!("process {process_id} of {}", user_name(user))
                     }
-                    return Err(SessionLockError::InUse { session: session.clone(), process_id });
-                }
+                    None => "another process".to_owned(),
+                };
+                Err(SessionLockError::InUse { session: session.clone(), holder })
             }
+            Err(source) => Err(SessionLockError::System { session: session.clone(), source }),
         }
     }
 }
 
-/// Files that sessions have in shared memory and in the runtime directory.
+/// Files that this user's sessions have in shared memory and in the folders of run-time state.
 #[derive(Debug, Default)]
 pub struct Leftovers {
     /// Paths of the files.
@@ -366,28 +372,38 @@ pub struct Leftovers {
     pub bytes: u64,
 }
 
+/// What became of the files that a session left behind.
+#[derive(Debug, Default)]
+pub struct Removed {
+    /// How many are gone.
+    pub files: usize,
+    /// Those that could not be removed.
+    pub kept: Vec<PathBuf>,
+}
+
 impl Leftovers {
     /// What `session` has there at the moment, alive or not.
     pub fn of(session: &SessionName) -> Leftovers {
         Leftovers::with_prefix(&session.prefix())
     }
 
-    /// What all sessions have there, those in use included.
+    /// What all sessions of this user have there, those in use included.
     pub fn of_all_sessions() -> Leftovers {
-        Leftovers::with_prefix("tendon.")
+        Leftovers::with_prefix(&format!("tendon.{}.", own_user()))
     }
 
     fn with_prefix(prefix: &str) -> Leftovers {
-        let root = runtime_directory();
         let mut leftovers = Leftovers::default();
-        let mut folders = vec![shared_memory_directory().to_owned(), root.clone()];
+        let mut folders = vec![shared_memory_directory().to_owned()];
+        folders.extend(runtime_folders().iter().map(|folder| folder.path().to_owned()));
         while let Some(folder) = folders.pop() {
             let Ok(entries) = std::fs::read_dir(&folder) else { continue };
             for entry in entries.flatten() {
                 let path = entry.path();
-                let inside_runtime_directory = path.starts_with(&root);
+                let is_in_memory = path.starts_with(shared_memory_directory());
+                // Of the entry itself: links are not followed.
                 match entry.metadata() {
-                    Ok(metadata) if metadata.is_dir() && inside_runtime_directory => folders.push(path),
+                    Ok(metadata) if metadata.is_dir() && !is_in_memory => folders.push(path),
                     Ok(metadata) if entry.file_name().to_string_lossy().starts_with(prefix) => {
                         leftovers.bytes += metadata.len();
                         leftovers.files.push(path);
@@ -404,7 +420,7 @@ impl Leftovers {
         let mut names: Vec<SessionName> = Vec::new();
         for file in &self.files {
             let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-            let session = name.split('.').nth(1).and_then(|name| name.parse().ok());
+            let session = name.split('.').nth(2).and_then(|name| name.parse().ok());
             if let Some(session) = session.filter(|session| !names.contains(session)) {
                 names.push(session);
             }
@@ -413,17 +429,18 @@ impl Leftovers {
     }
 
     /// Removes everything `session` left behind. The caller holds its [`SessionLock`] and has reaped all of
-    /// its processes: files of living ones would be pulled from under them. Returns how many files went.
-    pub fn remove(_lock: &SessionLock, session: &SessionName) -> usize {
+    /// its processes: files of living ones would be pulled from under them.
+    pub fn remove(_lock: &SessionLock, session: &SessionName) -> Removed {
         let before = Leftovers::of(session).files.len();
         Leftovers::remove_empty_segments(session, Duration::ZERO);
         // Then iceoryx2's own way, which knows in which order things go; then what even that left.
         Leftovers::remove_dead_nodes(session);
         for file in Leftovers::of(session).files {
-            // What vanishes meanwhile needs no removing; what resists shows up in `tendon doctor`.
+            // What vanishes meanwhile needs no removing; what resists is counted below.
             let _ = std::fs::remove_file(file);
         }
-        before
+        let kept = Leftovers::of(session).files;
+        Removed { files: before.saturating_sub(kept.len()), kept }
     }
 
     /// A process that was killed while it made a segment of shared memory leaves it empty, and iceoryx2 0.10 would wait
@@ -449,12 +466,14 @@ impl Leftovers {
     }
 
     fn remove_dead_nodes(session: &SessionName) {
-        let _ = Node::<ipc::Service>::list(&session.config(), |state| {
-            if let NodeState::Dead(dead) = state {
-                let _ = dead.try_remove_stale_resources();
-            }
-            CallbackProgression::Continue
-        });
+        for folder in runtime_folders() {
+            let _ = Node::<ipc::Service>::list(&session.config(folder.path()), |state| {
+                if let NodeState::Dead(dead) = state {
+                    let _ = dead.try_remove_stale_resources();
+                }
+                CallbackProgression::Continue
+            });
+        }
     }
 }
 
@@ -478,7 +497,7 @@ mod tests {
         fn session_names_make_file_names_or_are_refused(name in ".{0,40}") {
             match name.parse::<SessionName>() {
                 Ok(session) => {
-                    session.config();
+                    session.config(Path::new("/tmp/tendon-1000"));
                     prop_assert_eq!(session.to_string(), name);
                 }
                 Err(error) => prop_assert!(error.to_string().contains("session name")),
