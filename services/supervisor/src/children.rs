@@ -110,8 +110,8 @@ struct Running {
 
 impl Children {
     /// Starts all stages, which lie beside this program, on this configuration. What they say
-    /// comes as `events`. With `arm_stays` the robot is started as after the end of another.
-    pub fn start(config: &Config, events: &Sender<Event>, arm_stays: bool) -> anyhow::Result<Children> {
+    /// comes as `events`.
+    pub fn start(config: &Config, events: &Sender<Event>) -> anyhow::Result<Children> {
         let program = std::env::current_exe().context("cannot find this program's own folder")?;
         let folder = program.parent().context("this program is in no folder")?;
         let mut children = Children {
@@ -121,7 +121,7 @@ impl Children {
             running: Vec::new(),
         };
         for stage in Stage::ALL {
-            children.start_stage(stage, arm_stays && stage == Stage::Robot)?;
+            children.start_stage(stage, false)?;
         }
         Ok(children)
     }

@@ -16,8 +16,8 @@ use tendon_config::{Backend, Config, Gestures, Pace, Realtime, Source};
 use tendon_figures::latency_figure;
 use tendon_gesture::{Gesture, Strategy};
 use tendon_messages::{
-    BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, Permission, STATE_LENGTH, STATES, Stage, StateHeader,
-    StopReason, TWIST_LENGTH, WINDOWS,
+    BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, StateHeader, TWIST_LENGTH,
+    WINDOWS,
 };
 use tendon_observer::Observer;
 use tendon_process::{BATCH_LENGTH, Order, Ready};
@@ -28,7 +28,6 @@ use tendon_transport::{
 use tendon_zones::{TaskKind, TaskRun};
 
 use crate::Failure;
-use crate::arm_mark::ArmMark;
 use crate::children::{Children, Event};
 use crate::resources;
 use crate::screen::{GESTURE_KEYS, KEYS, Keyboard, Screen, live_line};
@@ -295,34 +294,10 @@ fn run_locked(options: &Options, config: &Config) -> Result<(), Failure> {
     } else {
         None
     };
-    let mark = match config.robot.backend {
-        Backend::Simulate => None,
-        Backend::XArm => Some(ArmMark::set(&config.robot.xarm).map_err(Failure::input)?),
-    };
-    let arm_stays = mark.as_ref().is_some_and(ArmMark::was_there);
-    if arm_stays {
-        tell(
-            "the session before was killed or left the arm stopped: it stays where it is until `tendon arm` (key a) \
-             and a rest",
-        );
-    }
-    let children = Children::start(config, &sender, arm_stays).map_err(Failure::input)?;
-    let mut watch = Watch {
-        config,
-        events,
-        children,
-        observer,
-        task,
-        screen: Screen::new(),
-        restarts: Vec::new(),
-        has_begun: false,
-        robot_obeyed: false,
-    };
-    let result = watch.session(options, keyboard);
-    if let Some(mark) = mark.filter(|_| watch.left_in_good_order(arm_stays)) {
-        mark.remove().map_err(Failure::running)?;
-    }
-    result
+    let children = Children::start(config, &sender).map_err(Failure::input)?;
+    let mut watch =
+        Watch { config, events, children, observer, task, screen: Screen::new(), restarts: Vec::new() };
+    watch.session(options, keyboard)
 }
 
 fn write_figures(folder: &Path, gathered: &SessionMeasurements) -> anyhow::Result<()> {
@@ -388,10 +363,6 @@ struct Watch<'a> {
     screen: Screen,
     /// In the order in which they happened.
     restarts: Vec<Restart>,
-    /// Whether all stages were ready once.
-    has_begun: bool,
-    /// Whether the robot process ended as it should, after it had stopped the arm.
-    robot_obeyed: bool,
 }
 
 /// What is known once all stages are ready.
@@ -418,7 +389,6 @@ impl Watch<'_> {
             let stopped = self.stop_stages().map_err(Failure::running);
             return ready.and(stopped);
         };
-        self.has_begun = true;
         self.introduce(&started);
         if options.keyboard {
             println!("  {GESTURE_KEYS}");
@@ -448,22 +418,6 @@ impl Watch<'_> {
             Some(path) => write_json(path, report),
             None => Ok(()),
         }
-    }
-
-    /// Whether the arm was left free to move, or as it was found if it was never reached. `was_stopped`: it was found
-    /// stopped.
-    fn left_in_good_order(&self, was_stopped: bool) -> bool {
-        let is_stopped = match self.observer.newest_state() {
-            None => was_stopped,
-            Some(state) => {
-                let header = &state.header;
-                let never_reached =
-                    !self.has_begun && header.stop_reason == StopReason::ConnectionBroke as u8;
-                let permission = Permission::from_number(header.permission);
-                if never_reached { was_stopped } else { permission == Permission::Stopped }
-            }
-        };
-        self.robot_obeyed && !is_stopped
     }
 
     /// Waits until all stages are ready, then lets the source begin; `None` when told to stop before.
@@ -510,10 +464,8 @@ impl Watch<'_> {
     /// Stops all stages that run, robot first, and takes what they say last.
     fn stop_stages(&mut self) -> anyhow::Result<()> {
         let Watch { children, events, observer, task, .. } = self;
-        let runs = children.process_id(Stage::Robot).is_some();
         let killed = children.stop(events, || gather(observer, task))?;
         gather(observer, task)?;
-        self.robot_obeyed |= runs && !killed.contains(&Stage::Robot.name());
         ensure!(killed.is_empty(), "{} did not stop and had to be killed", killed.join(", "));
         Ok(())
     }
@@ -643,8 +595,6 @@ impl Watch<'_> {
         self.screen.finish();
         match self.children.reap(stage) {
             Ok(Some(status)) => {
-                // One that says that it ended has stopped the arm before.
-                self.robot_obeyed |= stage == Stage::Robot && matches!(status.code(), Some(0..=2));
                 let error = anyhow::anyhow!("{} ended ({status}): the session is stopped", stage.name());
                 let exit_code = if status.code() == Some(2) { 2 } else { 1 };
                 Failure { error, exit_code }

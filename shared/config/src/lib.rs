@@ -522,6 +522,21 @@ impl Config {
             );
         }
         self.robot.arm.check().map_err(|error| invalid("robot.arm", &error))?;
+        if self.robot.backend == Backend::XArm {
+            self.robot.arm.check_for_real_arm().map_err(|error| invalid("robot.arm", &error))?;
+        }
+        // Commands come once an increment; a shorter watchdog stops the arm between any two of them.
+        let increment_ms = self.dsp.windows.increment_samples as f64 * 1e3 / acquisition.sample_rate_hz;
+        if self.robot.arm.watchdog_ms as f64 <= increment_ms {
+            return value(
+                "robot.arm.watchdog_ms",
+                self.robot.arm.watchdog_ms.to_string(),
+                &format!(
+                    "take more than the {increment_ms:.0} ms from one window to the next \
+                     (dsp.windows.increment_samples), best twice as much: else the arm never moves"
+                ),
+            );
+        }
         self.task.check().map_err(|error| invalid("task", &error))
     }
 
@@ -643,6 +658,39 @@ mod tests {
         for key in keys(&config.to_toml()) {
             assert!(documented.contains(&key), "tendon.toml does not document `{key}`");
         }
+    }
+
+    #[test]
+    fn what_would_disarm_a_real_arm_is_refused() {
+        let check = |text: &str| {
+            let real = "backend = \"xarm\"\nxarm.address = \"127.0.0.1\"\n";
+            let config = parse(&format!("[robot]\n{real}{text}")).unwrap();
+            config.check().map_err(|error| error.to_string())
+        };
+        assert_eq!(check(""), Ok(()));
+        assert!(check("arm.watchdog_ms = 10000").unwrap_err().contains("at most 300"));
+        assert!(check("arm.linear_speed_limit_mm_per_s = 1500.0").unwrap_err().contains("at most 250"));
+        let never_moves = check("arm.watchdog_ms = 75").unwrap_err();
+        assert!(
+            never_moves.contains("robot.arm.watchdog_ms = 75: take more than the 75 ms"),
+            "{never_moves}"
+        );
+        for key in [
+            "arm.linear_speed_limit_mm_per_s",
+            "arm.linear_acceleration_mm_per_s2",
+            "arm.linear_jerk_mm_per_s3",
+            "arm.gripper_open_pulses",
+            "arm.gripper_closed_pulses",
+            "arm.gripper_speed_pulses_per_s",
+            "xarm.start_speed_deg_per_s",
+        ] {
+            for number in ["nan", "inf", "-inf"] {
+                assert!(check(&format!("{key} = {number}")).is_err(), "{key} = {number}");
+            }
+        }
+        assert!(check("arm.start_joints_deg = [0.0, -15.0, nan, 45.0, 0.0, 60.0, 0.0]").is_err());
+        assert!(check("arm.workspace_min_mm = [nan, -400.0, 150.0]").is_err());
+        assert!(check("arm.workspace_max_mm = [600.0, inf, 650.0]").is_err());
     }
 
     #[test]

@@ -43,9 +43,12 @@ impl ArmAnswer {
             }
             ArmAnswer::AlreadyArmed => "already armed: the arm follows commands".to_owned(),
             ArmAnswer::GoingToStart => {
-                "armed: the arm goes to its start position, then moves once the muscles have been at rest".to_owned()
+                "armed: the arm goes to its start position, then moves once the muscles have been at rest"
+                    .to_owned()
             }
-            ArmAnswer::BringingUp => "the arm is being brought up: wait, or stop it with `tendon stop`".to_owned(),
+            ArmAnswer::BringingUp => {
+                "the arm is being brought up: wait, or stop it with `tendon stop`".to_owned()
+            }
             ArmAnswer::NotConnected => {
                 format!("not armed: {}", words(Stop::because(StopReason::ConnectionBroke)))
             }
@@ -54,7 +57,8 @@ impl ArmAnswer {
             }
             ArmAnswer::Failed(stop) => format!("not armed: {}", words(stop)),
             ArmAnswer::TooSlow => {
-                "not armed: the arm was not brought up in time; look at its control box, then try again".to_owned()
+                "not armed: the arm was not brought up in time; look at its control box, then try again"
+                    .to_owned()
             }
         }
     }

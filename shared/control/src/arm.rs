@@ -77,6 +77,12 @@ pub trait Arm {
     /// What a user may want to know of it.
     fn description(&self) -> String;
 
+    /// By what it is told apart from other arms.
+    fn key(&self) -> String;
+
+    /// Why it stopped, in its own words.
+    fn explanation(&self) -> Option<String>;
+
     /// The limits of its joints, known once it is [`Link::Connected`].
     fn joint_limits(&self) -> JointLimits;
 

@@ -9,7 +9,8 @@
 
 use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Obstacle, Twist, XArm7};
 use tendon_messages::{
-    ArmPhase, CommandHeader, Hindrance, Permission, STATE_LENGTH, StateHeader, StopReason, TWIST_LENGTH, Trace,
+    ArmPhase, CommandHeader, Hindrance, Permission, STATE_LENGTH, StateHeader, StopReason, TWIST_LENGTH,
+    Trace,
 };
 
 use crate::answer::ArmAnswer;
@@ -27,7 +28,7 @@ const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
 /// How long the arm may take to connect, ns.
 const CONNECT_TIMEOUT_NS: u64 = 10_000_000_000;
 /// How long the arm may take to be brought up after an order, ns.
-const BRING_UP_TIMEOUT_NS: u64 = 8_000_000_000;
+const BRING_UP_TIMEOUT_NS: u64 = 11_000_000_000;
 
 /// What the controller needs to know.
 #[derive(Clone, Debug)]
@@ -146,6 +147,16 @@ impl Controller {
         self.arm.description()
     }
 
+    /// By what the arm is told apart from others; see [`Arm::key`].
+    pub fn key(&self) -> String {
+        self.arm.key()
+    }
+
+    /// Why the arm stopped, in its own words.
+    pub fn explanation(&self) -> Option<String> {
+        self.arm.explanation()
+    }
+
     /// Whether the arm is where it waits for something that only the rest of the session can give: commands, or an
     /// order to arm.
     pub fn is_ready(&self) -> bool {
@@ -174,9 +185,16 @@ impl Controller {
             && report.stop.is_none()
     }
 
-    /// The joint angles that the arm reports, rad.
-    pub fn joints_rad(&self) -> Option<JointVector> {
-        self.arm.report().joints_rad
+    /// Lets the arm come to rest after [`Controller::end`]. Returns its joint angles in rad; `None` if it is no longer in
+    /// good order.
+    pub fn at_the_end(&mut self, now_ns: u64) -> Option<JointVector> {
+        self.arm.tick(now_ns);
+        let report = self.arm.report();
+        let is_well = report.error_code.is_none()
+            && report.link != Link::Connecting
+            && report.silent_ns < ARM_SILENCE_NS
+            && report.stop.is_none_or(|stop| stop.reason == StopReason::Ordered);
+        report.joints_rad.filter(|_| is_well)
     }
 
     /// Whether nothing moves and nothing is told to.
@@ -227,6 +245,8 @@ impl Controller {
         let answer = match (self.phase, self.latch.permission()) {
             (Phase::Following, Permission::Granted) => ArmAnswer::AlreadyArmed,
             (Phase::Following, _) => ArmAnswer::AwaitsRest,
+            // Somebody asked before: both are told what comes of it.
+            _ if self.asked.is_some() => return,
             (Phase::EnablingJoints | Phase::GoingToStart(_), _) => ArmAnswer::GoingToStart,
             (Phase::EnablingFlange, _) => ArmAnswer::BringingUp,
             _ if report.link == Link::Connecting => ArmAnswer::NotConnected,
@@ -298,7 +318,9 @@ impl Controller {
 
     fn is_supervisor_silent(&self, now_ns: u64) -> bool {
         self.settings.stale_ns.is_some()
-            && self.supervisor_heard_ns.is_some_and(|heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS)
+            && self
+                .supervisor_heard_ns
+                .is_some_and(|heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS)
     }
 
     /// A controller that stood still while its arm moved must not go on where it was: the arm has come to rest.
@@ -308,12 +330,11 @@ impl Controller {
             return;
         }
         self.latch.break_row();
-        if !self.arm.is_still() {
+        if let Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange = self.phase {
+            self.stop(Stop::because(StopReason::RobotStalled));
+        } else if !self.arm.is_still() {
             self.arm.stalled();
             self.latch.interrupt(StopReason::RobotStalled);
-            if let Phase::GoingToStart(_) = self.phase {
-                self.phase = Phase::GoingToStart(0.0);
-            }
         }
     }
 
@@ -331,10 +352,7 @@ impl Controller {
                     self.latch.stop(stop);
                 }
             }
-            Phase::EnablingJoints
-            | Phase::GoingToStart(_)
-            | Phase::EnablingFlange
-            | Phase::Following => {
+            Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange | Phase::Following => {
                 self.look_at_link(&report);
                 self.watch(&report, now_ns);
                 self.go_on(&report, now_ns);
@@ -361,7 +379,8 @@ impl Controller {
             self.has_followed |= self.phase == Phase::Following;
             return;
         }
-        let is_late = self.settings.stale_ns.is_some() && now_ns.saturating_sub(since_ns) > CONNECT_TIMEOUT_NS;
+        let is_late =
+            self.settings.stale_ns.is_some() && now_ns.saturating_sub(since_ns) > CONNECT_TIMEOUT_NS;
         // That there is no connection yet is no reason; that the arm is none of ours is one.
         let refused = report.stop.filter(|stop| stop.reason == StopReason::UnsupportedArm);
         if let Some(stop) = refused.or(is_late.then_some(Stop::because(StopReason::ConnectionBroke))) {
@@ -450,7 +469,9 @@ impl Controller {
     /// lossless replay.
     pub fn take(&mut self, header: &CommandHeader, twist: &[f32; TWIST_LENGTH], now_ns: u64) -> Taken {
         let CommandHeader { trace, context, .. } = *header;
-        if let Some((sequence, first_sample)) = self.newest_command.replace((trace.sequence, context.first_sample)) {
+        if let Some((sequence, first_sample)) =
+            self.newest_command.replace((trace.sequence, context.first_sample))
+        {
             if trace.sequence <= sequence {
                 // From a decision process that began anew, whoever started it.
                 self.gripper.counts_anew();
@@ -461,7 +482,8 @@ impl Controller {
                 self.latch.break_row();
             }
         }
-        if self.settings.stale_ns.is_some_and(|stale_ns| now_ns.saturating_sub(trace.captured_ns) > stale_ns) {
+        if self.settings.stale_ns.is_some_and(|stale_ns| now_ns.saturating_sub(trace.captured_ns) > stale_ns)
+        {
             self.latch.break_row();
             return Taken::Stale;
         }
@@ -479,7 +501,11 @@ impl Controller {
             trace: Trace { sequence: 0, ..trace },
             gesture: header.voted,
             confidence: header.confidence,
-            calibration_left_ms: if self.settings.needs_calibration { context.calibration_left_ms } else { 0 },
+            calibration_left_ms: if self.settings.needs_calibration {
+                context.calibration_left_ms
+            } else {
+                0
+            },
             ..self.header
         };
         Taken::Fresh

@@ -55,6 +55,11 @@ impl Body {
         self.motion.halt();
     }
 
+    /// What the last order to bring it up has begun takes for ever.
+    pub fn never_comes_up(&mut self) {
+        self.up_at = None;
+    }
+
     fn step(&mut self) {
         if let Some((at_ns, drive)) = self.up_at.filter(|(at_ns, _)| self.now_ns >= *at_ns) {
             let _ = at_ns;
@@ -113,6 +118,14 @@ impl Arm for FakeArm {
         "an arm for tests".to_owned()
     }
 
+    fn key(&self) -> String {
+        self.description()
+    }
+
+    fn explanation(&self) -> Option<String> {
+        None
+    }
+
     fn joint_limits(&self) -> JointLimits {
         self.0.borrow().limits
     }
@@ -128,7 +141,7 @@ impl Arm for FakeArm {
         let body = self.0.borrow();
         ArmReport {
             joints_rad: Some(body.joints_rad),
-            is_commanded_to_rest: body.motion.is_still(),
+            is_commanded_to_rest: body.motion.is_commanded_to_rest(),
             halted_by_watchdog: body.motion.halted_by_watchdog(),
             obstacle: body.motion.obstacle(),
             ..body.report

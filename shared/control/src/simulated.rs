@@ -9,6 +9,14 @@ impl Arm for SimulatedArm {
         "simulated xArm7".to_owned()
     }
 
+    fn key(&self) -> String {
+        self.description()
+    }
+
+    fn explanation(&self) -> Option<String> {
+        None
+    }
+
     fn joint_limits(&self) -> JointLimits {
         JointLimits::default()
     }
@@ -24,7 +32,7 @@ impl Arm for SimulatedArm {
             joints_rad: Some(state.joints_rad.into()),
             speed_mm_per_s: state.linear_speed_mm_per_s,
             gripper_pulses: Some(state.gripper_position_pulses),
-            is_commanded_to_rest: self.motion().is_still(),
+            is_commanded_to_rest: self.motion().is_commanded_to_rest(),
             halted_by_watchdog: state.halted_by_watchdog,
             obstacle: self.motion().obstacle(),
             ..ArmReport::default()

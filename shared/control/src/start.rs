@@ -194,7 +194,8 @@ mod tests {
             let (next, velocities) = start.step(&joints_rad, speed);
             assert!(velocities.amax() <= 0.17 + 1e-9 && next - speed <= 0.5 * 4e-3 + 1e-9);
             joints_rad += velocities * 4e-3;
-            let [from, to] = [before, joints_rad].map(|joints| start.arm.flange_pose_m(&joints).translation.vector);
+            let [from, to] =
+                [before, joints_rad].map(|joints| start.arm.flange_pose_m(&joints).translation.vector);
             assert!((to - from).norm() * 1e3 / 4e-3 <= 100.5);
             (speed, steps) = (next, steps + 1);
             assert!(steps < 10_000);
