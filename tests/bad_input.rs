@@ -165,7 +165,9 @@ fn too_little_shared_memory() {
 fn real_time_scheduling_is_had_or_refused() {
     let ended = TendonBuilder::run(&unique_session()).args(&["--realtime", "on", "--duration", "1s"]).end();
     if ended.exit_code == Some(0) {
-        for (stage, scheduling) in ended.report().scheduling {
+        let scheduling = ended.report().scheduling;
+        assert_eq!(scheduling.len(), 5, "{scheduling:?}");
+        for (stage, scheduling) in scheduling {
             assert!(scheduling.contains("SCHED_FIFO"), "{stage}: {scheduling}");
             assert!(scheduling.contains("memory locked"), "{stage}: {scheduling}");
         }

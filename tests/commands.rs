@@ -260,3 +260,97 @@ fn experiments_report_on_the_models_that_are_there() {
     let nothing = TendonBuilder::command(&unique_session(), &["experiments"]).end();
     nothing.assert_failed(2, &["--three-dc FOLDER", "scripts/fetch-data"]);
 }
+
+/// Starts `tendon` with standard output as given; its exit code and standard error.
+fn end_with_output(output: std::process::Stdio, arguments: &[&std::ffi::OsStr]) -> (Option<i32>, String) {
+    let mut command = std::process::Command::new(program("tendon"));
+    if std::env::var_os("ORT_DYLIB_PATH").is_none() {
+        command.env("ORT_DYLIB_PATH", repository().join(".cache/onnxruntime/libonnxruntime.so"));
+    }
+    let ended = command.args(arguments).stdin(std::process::Stdio::null()).stdout(output).output().unwrap();
+    (ended.status.code(), String::from_utf8_lossy(&ended.stderr).into_owned())
+}
+
+/// The commands of the laboratory on the recordings in `folder`, each with the file that it writes.
+fn laboratory_commands(folder: &std::path::Path) -> Vec<(Vec<std::ffi::OsString>, std::path::PathBuf)> {
+    let recordings = folder.join(format!("Participant{PERSON}"));
+    let emg = recordings.join("train/EMG");
+    let file = |name: &str| folder.join(name);
+    let words = |words: &[&dyn AsRef<std::ffi::OsStr>]| {
+        words.iter().map(|word| word.as_ref().to_owned()).collect::<Vec<std::ffi::OsString>>()
+    };
+    let (scores, strategies, profile, windows) =
+        (file("scores.json"), file("strategies.json"), file("profile.toml"), file("windows"));
+    let [five, six] = ["cnn-five-gesture", "cnn-six-class"].map(model);
+    vec![
+        (words(&[&"evaluate", &recordings, &"--model", &six, &"--json", &scores]), scores),
+        (
+            words(&[
+                &"strategies",
+                &recordings,
+                &"--strategy",
+                &"threshold",
+                &"--five-gesture-model",
+                &five,
+                &"--json",
+                &strategies,
+            ]),
+            strategies,
+        ),
+        (words(&[&"profile", &"fit", &emg, &"--out", &profile]), profile),
+        (words(&[&"dataset", &"build", &recordings, &"--out", &windows]), windows.join("manifest.json")),
+    ]
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_fault_and_a_full_disk_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    write_recording(folder.path());
+    for (arguments, written) in laboratory_commands(folder.path()) {
+        let arguments: Vec<&std::ffi::OsStr> = arguments.iter().map(AsRef::as_ref).collect();
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let (exit_code, errors) = end_with_output(writer.into(), &arguments);
+        assert_eq!(exit_code, Some(0), "{arguments:?}: {errors}");
+        assert!(written.is_file(), "{arguments:?}: {errors}");
+        std::fs::remove_file(&written).unwrap();
+
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let (exit_code, errors) = end_with_output(full.into(), &arguments);
+        assert_eq!(exit_code, Some(1), "{arguments:?}: {errors}");
+        assert!(errors.contains("cannot write to standard output"), "{arguments:?}: {errors}");
+        assert!(!errors.contains("panicked") && written.is_file(), "{arguments:?}: {errors}");
+    }
+}
+
+#[test]
+fn names_that_are_no_utf_8_are_read_or_refused_in_words() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = tempfile::tempdir().unwrap();
+    let odd = folder.path().join(std::ffi::OsStr::from_bytes(b"m\xfcller"));
+    std::fs::create_dir(&odd).unwrap();
+    write_recording(&odd);
+    for (arguments, _) in laboratory_commands(&odd) {
+        let arguments: Vec<&std::ffi::OsStr> = arguments.iter().map(AsRef::as_ref).collect();
+        let (exit_code, errors) = end_with_output(std::process::Stdio::null(), &arguments);
+        let refused = exit_code == Some(2) && errors.contains("is not UTF-8") && errors.contains("rename");
+        assert!(exit_code == Some(0) || refused, "{arguments:?}: {exit_code:?} {errors}");
+    }
+    // A model and an output may be called so.
+    let data_set = build_data_set(folder.path());
+    let six = odd.join("model.onnx");
+    std::fs::copy(model("cnn-six-class"), &six).unwrap();
+    let json = odd.join("scores.json");
+    let words: [&std::ffi::OsStr; 6] = [
+        "evaluate".as_ref(),
+        data_set.as_ref(),
+        "--model".as_ref(),
+        six.as_ref(),
+        "--json".as_ref(),
+        json.as_ref(),
+    ];
+    let (exit_code, errors) = end_with_output(std::process::Stdio::null(), &words);
+    assert_eq!(exit_code, Some(0), "{errors}");
+    let scores: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(&json).unwrap()).unwrap();
+    assert!(scores["model"].as_str().unwrap().ends_with("model.onnx"), "{scores:#}");
+}

@@ -6,11 +6,11 @@ use std::path::Path;
 
 use tendon_classifier::{Recogniser, runtime_library};
 use tendon_config::{Config, Pace, Source};
-use tendon_gesture::{Gesture, Strategy};
+use tendon_gesture::{DecisionSettings, Gesture, Strategy};
 use tendon_messages::{PREDICTIONS, WINDOWS};
+use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
 use tendon_report::Report;
-use tendon_signal::SignalChain;
 use tendon_system_tests::recordings::{MOVEMENT, REST, Stretch, real_three_dc, write_table, write_three_dc};
 use tendon_system_tests::{
     StageAlone, TendonBuilder, assert_nothing_left, model, repository, unique_session, wait_until,
@@ -116,26 +116,25 @@ fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, [f32; Ges
         repetition: None,
     };
     let mut stream = ReplayStream::open(path, &recording, 2000.0, config.acquisition.block_samples).unwrap();
-    let mut chain = SignalChain::new(&config.dsp, 4, 2000.0).unwrap();
     let fetched = repository().join(".cache/onnxruntime/libonnxruntime.so");
     let library =
         if std::env::var_os("ORT_DYLIB_PATH").is_some() { runtime_library(None).unwrap() } else { fetched };
     let [five, rest_move] = ["cnn-five-gesture", "cnn-rest-move"].map(model);
-    let mut recogniser = Recogniser::load(&library, strategy, Some(&five), Some(&rest_move)).unwrap();
+    let recogniser = Recogniser::load(&library, strategy, Some(&five), Some(&rest_move)).unwrap();
+    let settings = PipelineSettings {
+        channels: 4,
+        sample_rate_hz: 2000.0,
+        signal: config.dsp.clone(),
+        decision: DecisionSettings { strategy, ..config.decision.clone() },
+    };
+    let mut pipeline = Pipeline::new(settings, recogniser).unwrap();
     let mut block = vec![0.0; config.block_length()];
-    let mut window = vec![0.0; config.window_length()];
     let mut windows = HashMap::new();
     while stream.next_block(&mut block).unwrap().is_some() {
-        let mut from = 0;
-        while from < config.acquisition.block_samples {
-            let push = chain.push(&block, from);
-            from += push.consumed;
-            if let Some(complete) = push.window {
-                chain.write_window(&mut window);
-                let probabilities = *recogniser.recognise(&window).unwrap();
-                windows.insert(complete.first_sample, (window.clone(), probabilities));
-            }
-        }
+        let keep = |step: tendon_pipeline::Step<'_>| {
+            windows.insert(step.window.first_sample, (step.samples.to_vec(), *step.probabilities));
+        };
+        pipeline.push(&block, keep).unwrap();
     }
     windows
 }

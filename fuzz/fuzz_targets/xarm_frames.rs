@@ -7,12 +7,12 @@ use tendon_xarm::Command;
 use tendon_xarm::frame::Decoder;
 use tendon_xarm::identity::Identity;
 use tendon_xarm::reply::{Reply, fault};
-use tendon_xarm_emulator::{Model, answer};
+use tendon_xarm_emulator::{Model, Properties, answer};
 
 fuzz_target!(|input: (u8, Vec<u8>)| {
     let (piece, stream) = input;
     let mut decoder = Decoder::new();
-    let mut model = Model::new(0);
+    let mut model = Model::new(Properties::default(), 0);
     let mut now_ns = 0;
     let mut reply = Vec::new();
     for mut piece in stream.chunks(usize::from(piece).max(1)) {

@@ -1,39 +1,38 @@
 //! `tendon dataset build`: recordings to windows that models are trained on.
 
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use tendon_dataset::{
-    BuildSettings, DatasetSettings, Manifest, OnsetStatistics, Progress as BuildProgress, SplitEntry,
-};
+use tendon_dataset::{BuildSettings, DatasetSettings, Manifest, OnsetStatistics, SplitEntry};
 use tendon_recordings::Channel;
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
+use crate::output::{print, tell};
 use crate::progress::Progress;
 
 /// Commands of `tendon dataset`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Cut recordings into windows to train on, through the same filter as live.
+    /// Cut recordings into windows to train on, with the filter that runs live.
     ///
-    /// What lies at or below each FOLDER tells the layout:
+    /// The layout follows from what is found in each FOLDER or below it:
     ///
     /// * 3DC: folders ParticipantP/train/EMG and ParticipantP/test/EMG with files 3dc_EMG_gesture_R_G.txt, 1000 Hz.
     ///
     /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD; saved with `save -v7`), or files
-    ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Those in a folder `filtered` need --filtered.
+    ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Files in a folder `filtered` need --filtered.
     ///
-    /// * Your own: tables (.csv, .tsv, .txt; a line a sample, a column a channel) and beside them labels.csv with the
-    ///   header file,person,session,repetition,gesture,start_sample,end_sample. Give --recording-rate-hz. Session may
-    ///   be left out, and start and end where the whole file is one trial. Gestures: rest, extension, flexion, ulnar,
-    ///   radial, grip.
+    /// * Your own: tables (.csv, .tsv, .txt; one line per sample, one column per channel) and a labels.csv in the same
+    ///   folder with the header file,person,session,repetition,gesture,start_sample,end_sample. Needs
+    ///   --recording-rate-hz. The session is optional, and so are start and end where the whole file is one trial.
+    ///   Gestures: rest, extension, flexion, ulnar, radial, grip.
     ///
-    /// What cannot be used is left out and listed in manifest.json with the reason. A build that was interrupted goes
-    /// on when the same command is given again.
+    /// Recordings that cannot be used are left out; manifest.json lists them with the reason. After an interruption, the
+    /// same command continues the build.
     #[command(verbatim_doc_comment)]
     Build(BuildOptions),
 }
@@ -41,16 +40,16 @@ pub enum Command {
 /// Command line of `tendon dataset build`.
 #[derive(Debug, Args)]
 pub struct BuildOptions {
-    /// Folders with recordings of one layout, or folders above such; also single .mat and .csv files.
+    /// Folders with recordings of one layout, or folders above them; single .mat and .csv files, too.
     #[arg(required = true, value_name = "FOLDER")]
     recordings: Vec<PathBuf>,
-    /// Folder for the arrays (windows.npy and what belongs to each window) and manifest.json.
+    /// Folder for the data set: windows.npy, the arrays with each window's label and origin, and manifest.json.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Channels, in this order.
+    /// Channels of the recordings, in the order the windows shall have.
     #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
     channels: Vec<usize>,
-    /// Sampling rate of recordings that do not tell it, Hz: needed with labels.csv.
+    /// Sampling rate of recordings that do not state it, Hz; required with labels.csv.
     #[arg(long, value_name = "HZ")]
     recording_rate_hz: Option<f64>,
     /// Sampling rate of the windows, Hz.
@@ -59,7 +58,7 @@ pub struct BuildOptions {
     /// Length of a window, in samples.
     #[arg(long, default_value_t = 600)]
     window_samples: usize,
-    /// Samples from the start of a window to that of the next: a quarter of the window is an overlap of 75 %.
+    /// Samples from the start of one window to the start of the next. A quarter of the window means 75 % overlap.
     #[arg(long, default_value_t = 150)]
     increment_samples: usize,
     /// What windows hold.
@@ -68,23 +67,23 @@ pub struct BuildOptions {
     /// The recordings are filtered already.
     #[arg(long)]
     filtered: bool,
-    /// Where the threshold comes from above which a movement begins.
+    /// How the threshold for the onset of a movement is chosen.
     #[arg(long, value_enum, default_value = "baseline")]
     onset: OnsetMethod,
-    /// With --onset peak-percentile: which percentile of the envelope's peaks is the threshold.
+    /// With --onset peak-percentile: the percentile of the envelope's peaks that serves as the threshold.
     #[arg(long, default_value_t = 80.0, value_name = "PERCENT")]
     peak_percentile: f64,
-    /// Where a movement is taken to begin if no onset is found, ms from the cue; 0 keeps the whole recording.
+    /// Assumed start of the movement if no onset is found, ms after the cue; 0 keeps the whole recording.
     #[arg(long, default_value_t = 500.0)]
     fallback_ms: f64,
-    /// People held out for the test, by number: all of their windows, and nobody else's. 3DC's 13 and 14 only
-    /// together.
+    /// People to hold out for the test, by number: all their windows are for the test, and nobody else's. 3DC's 13 and
+    /// 14 share recordings and must stay together.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     test_people: Vec<u16>,
-    /// Seed of the choice of windows for validation: 20 % of those of each gesture that are not for the test.
+    /// Seed for choosing the validation windows: 20 % of each gesture's windows that are not for the test.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Recordings read at a time [default: one a processor, up to 8]. The data set does not depend on it.
+    /// Recordings to read at the same time [default: one per processor, up to 8]. The data set does not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
 }
@@ -113,46 +112,36 @@ impl BuildOptions {
     }
 }
 
-/// Builds a data set and shows how far it has come; beside the manifest, how many windows an earlier build had made.
-///
-/// # Errors
-///
-/// As [`tendon_dataset::build`].
-pub fn build_shown(
-    settings: &DatasetSettings,
-    building: &BuildSettings,
-    recordings: &[PathBuf],
-    out: &Path,
-) -> Result<(Manifest, u64), Failure> {
-    let mut progress = None;
-    let mut resumed_windows = 0;
-    let mut show = |build: BuildProgress<'_>| {
-        match build {
-            BuildProgress::Begun { total, resumed, windows, is_other } => {
-                resumed_windows = windows;
-                tell_beginning(total, resumed, windows, is_other);
-                progress.insert(Progress::of(total, "recordings")).go_on_from(resumed);
+/// How far a build has come, for the person who waits.
+#[derive(Debug, Default)]
+pub struct BuildProgress {
+    progress: Option<Progress>,
+    /// Windows that an earlier build had made.
+    resumed_windows: u64,
+}
+
+impl BuildProgress {
+    /// Shows the next step.
+    pub fn show(&mut self, step: &tendon_dataset::Progress<'_>) {
+        match *step {
+            tendon_dataset::Progress::Begun { total, resumed, windows, is_other } => {
+                self.resumed_windows = windows;
+                if is_other {
+                    tell(
+                        "the folder holds an unfinished build with other settings or recordings: starting anew",
+                    );
+                }
+                if resumed > 0 {
+                    tell(format_args!("continuing after {resumed} of {total} recordings, {windows} windows"));
+                }
+                self.progress.insert(Progress::of(total, "recordings")).go_on_from(resumed);
             }
-            BuildProgress::Recording { done, windows, .. } => {
-                if let Some(progress) = &mut progress {
+            tendon_dataset::Progress::Recording { done, windows, .. } => {
+                if let Some(progress) = &mut self.progress {
                     progress.show(done, || format!(", {windows} windows"));
                 }
             }
         }
-        ControlFlow::Continue(())
-    };
-    let built = tendon_dataset::build(settings, building, recordings, out, &mut show);
-    drop(progress);
-    Ok((built.context("no data set was built").map_err(Failure::input)?, resumed_windows))
-}
-
-#[allow(clippy::print_stderr, reason = "for the person who waits")]
-fn tell_beginning(total: usize, resumed: usize, windows: u64, is_other: bool) {
-    if is_other {
-        eprintln!("an unfinished build of other settings or recordings is there: building anew");
-    }
-    if resumed > 0 {
-        eprintln!("{resumed} of {total} recordings are there already, {windows} windows: going on");
     }
 }
 
@@ -165,47 +154,58 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
         seed: options.seed,
         threads: options.threads.map_or(default.threads, usize::from),
     };
-    let (manifest, resumed_windows) =
-        build_shown(&options.settings(), &building, &options.recordings, &options.out)?;
-    println!(
-        "{}: {} windows of {} people, {} recordings; {} left out (manifest.json says why)",
+    let mut progress = BuildProgress::default();
+    let mut show = |step: tendon_dataset::Progress<'_>| {
+        progress.show(&step);
+        ControlFlow::Continue(())
+    };
+    let built =
+        tendon_dataset::build(&options.settings(), &building, &options.recordings, &options.out, &mut show);
+    let BuildProgress { progress, resumed_windows } = progress;
+    drop(progress);
+    let manifest = built.context("no data set was built").map_err(Failure::input)?;
+    // After a build that continued an earlier one, nobody knows how long the first part took.
+    let duration = (resumed_windows == 0).then(|| start.elapsed());
+    print(text(options, &manifest, duration)).map_err(Failure::running)
+}
+
+fn text(options: &BuildOptions, manifest: &Manifest, duration: Option<Duration>) -> String {
+    let mut text = format!(
+        "{}: {} windows of {} people, {} recordings; {} left out (manifest.json says why)\n",
         options.out.display(),
         manifest.windows,
         manifest.windows_per_person.len(),
         manifest.recordings.len(),
         manifest.skipped.len()
     );
-    println!(
-        "\n{:<12}{:>9}{:>12}{:>22}{:>34}",
+    text += &format!(
+        "\n{:<12}{:>9}{:>12}{:>22}{:>34}\n",
         "gesture", "windows", "recordings", "no onset found", "onset, ms"
     );
     for (gesture, windows) in &manifest.windows_per_gesture {
-        print!("{gesture:<12}{windows:>9}");
-        match manifest.onsets.get(gesture).filter(|onsets| onsets.recordings > 0) {
-            Some(onsets) => println!("{}", columns(onsets)),
-            None => println!(),
-        }
+        let onsets = manifest.onsets.get(gesture).filter(|onsets| onsets.recordings > 0);
+        text += &format!("{gesture:<12}{windows:>9}{}\n", onsets.map_or(String::new(), columns));
     }
     if let Some(total) = manifest.onsets.get("total") {
-        println!("{:<12}{:>9}{}", "total", manifest.windows, columns(total));
+        text += &format!("{:<12}{:>9}{}\n", "total", manifest.windows, columns(total));
     }
     let SplitEntry { test_people, seed, windows: split, .. } = &manifest.split;
-    print!("\n{} windows to train on, {} for validation (seed {seed})", split.train, split.validation);
-    match test_people.as_slice() {
-        [] => println!("; nobody is held out: --test-people chooses whom to test on"),
-        people => println!(", {} for the test: all of {}", split.test, list_of(people)),
-    }
-    let signal_s: f64 =
-        manifest.recordings.iter().map(|entry| entry.samples as f64 / entry.sample_rate_hz).sum();
-    let duration_s = start.elapsed().as_secs_f64();
-    // Of a build that went on, nobody knows how long the first part took.
-    if resumed_windows == 0 {
-        println!(
-            "{signal_s:.0} s of signal in {duration_s:.1} s: {:.0} times faster than real time",
+    text +=
+        &format!("\n{} windows to train on, {} for validation (seed {seed})", split.train, split.validation);
+    text += &match test_people.as_slice() {
+        [] => "; nobody is held out: --test-people chooses whom to test on".to_owned(),
+        people => format!(", {} for the test: all of {}", split.test, list_of(people)),
+    };
+    if let Some(duration) = duration {
+        let signal_s: f64 =
+            manifest.recordings.iter().map(|entry| entry.samples as f64 / entry.sample_rate_hz).sum();
+        let duration_s = duration.as_secs_f64();
+        text += &format!(
+            "\n{signal_s:.0} s of signal in {duration_s:.1} s: {:.0} times faster than real time",
             signal_s / duration_s
         );
     }
-    Ok(())
+    text
 }
 
 /// How onsets were found, as columns of the table.

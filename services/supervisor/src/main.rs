@@ -15,6 +15,7 @@ mod evaluate;
 mod experiments;
 mod latency;
 mod order;
+mod output;
 mod profile;
 mod progress;
 mod resources;

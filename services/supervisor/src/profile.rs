@@ -9,6 +9,7 @@ use tendon_gesture::Gesture;
 use tendon_recordings::{Channel, RecordingSettings, RecordingSource};
 
 use crate::Failure;
+use crate::output::{print, tell};
 
 /// Commands of `tendon profile`.
 #[derive(Debug, Subcommand)]
@@ -20,22 +21,22 @@ pub enum Command {
 /// Command line of `tendon profile fit`.
 #[derive(Debug, Args)]
 pub struct FitOptions {
-    /// Recordings with cues: folders of the 3DC layout (…/ParticipantP/train/EMG), or single files of it.
+    /// Recordings with cues: folders of the 3DC layout (…/ParticipantP/train/EMG), or single files from one.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,
     /// Where to write the profile.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Channels to simulate, in this order.
+    /// Channels of the recordings to simulate, in this order.
     #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
     channels: Vec<usize>,
-    /// Whose recordings they are, for the profile's own record.
+    /// Where the recordings come from, as a note in the profile.
     #[arg(long, default_value = "fitted from recordings")]
     source: String,
-    /// Mains frequency where they were made, in Hz: 50 or 60.
+    /// Mains frequency where the recordings were made, in Hz: 50 or 60.
     #[arg(long, default_value_t = 60.0)]
     mains_hz: f64,
-    /// Head of every gesture to leave out, in s: the person has not begun yet.
+    /// Seconds to skip at the start of every gesture, before the person reacts to the cue.
     #[arg(long, default_value_t = 1.5)]
     skip_s: f64,
 }
@@ -46,9 +47,12 @@ pub fn fit(options: &FitOptions) -> Result<(), Failure> {
     std::fs::write(&options.out, profile.to_toml())
         .with_context(|| format!("cannot write {}", options.out.display()))
         .map_err(Failure::running)?;
-    println!("{}: profile of {} channels; use it with", options.out.display(), profile.channels());
-    println!("  tendon run --set acquisition.simulate.profile={}", options.out.display());
-    Ok(())
+    let path = options.out.display();
+    print(format_args!(
+        "{path}: profile of {} channels; use it with\n  tendon run --set acquisition.simulate.profile={path}",
+        profile.channels()
+    ))
+    .map_err(Failure::running)
 }
 
 fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
@@ -64,11 +68,11 @@ fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
         let rate = recording.sample_rate_hz();
         ensure!(
             *sample_rate_hz.get_or_insert(rate) == rate,
-            "{}: recorded at another rate than the ones before: fit them one by one",
+            "{}: recorded at another rate than the recordings before it: fit one profile for each rate",
             path.display()
         );
         read_segments(&mut recording, (options.skip_s * rate) as usize, &mut segments)?;
-        eprintln_progress(path, segments.len());
+        tell(format_args!("read {} ({} gestures so far)", path.display(), segments.len()));
     }
     let segments: Vec<Segment<'_>> =
         segments.iter().map(|(gesture, samples)| Segment { gesture: *gesture, samples }).collect();
@@ -112,9 +116,4 @@ fn read_segments(
         }
         by_channel.iter_mut().zip(&values).for_each(|(samples, value)| samples.push(*value));
     }
-}
-
-#[allow(clippy::print_stderr, reason = "progress is for the person who waits")]
-fn eprintln_progress(path: &std::path::Path, segments: usize) {
-    eprintln!("read {} ({segments} gestures so far)", path.display());
 }

@@ -3,41 +3,93 @@
 use std::str::FromStr;
 use std::time::Duration;
 
-/// One thing that goes wrong, or is put right.
+use tendon_xarm::{Mode, StateOrder};
+
+/// One thing that goes wrong, or is put right. [`FAULTS`] explains each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// `emergency-stop`: the button is pressed.
+    /// `emergency-stop`
     EmergencyStop,
-    /// `release`: the button is released; the error stays until it is cleared.
+    /// `release`
     Release,
-    /// `collision`: error 31.
+    /// `collision`
     Collision,
-    /// `error CODE`: any error.
+    /// `error CODE`
     Error(u8),
-    /// `warning CODE`: any warning.
+    /// `warning CODE`
     Warning(u8),
-    /// `runaway MM_PER_S`: the flange goes along y whatever it is told, until the arm is stopped.
+    /// `runaway MM_PER_S`
     Runaway(i16),
-    /// `drop`: all connections are cut.
+    /// `creep MM_PER_S`
+    Creep(i16),
+    /// `mode N`
+    Mode(Mode),
+    /// `state N`
+    State(StateOrder),
+    /// `refuse [COUNT]`
+    Refuse(u32),
+    /// `gripper-late MS`
+    GripperLate(Duration),
+    /// `gripper-off`
+    GripperOff,
+    /// `object PULSES`
+    Object(u16),
+    /// `drop`
     Drop,
-    /// `late MS [COUNT]`: the next replies come so much later.
+    /// `late MS [COUNT]`
     Late(Duration, u32),
-    /// `torn [COUNT]`: the next replies come byte by byte.
+    /// `torn [COUNT]`
     Torn(u32),
-    /// `garbage [COUNT]`: random bytes come in place of the next replies.
+    /// `garbage [COUNT]`
     Garbage(u32),
-    /// `silent [COUNT]`: the next replies do not come.
+    /// `silent [COUNT]`
     Silent(u32),
 }
 
+/// The form of every line and what it does. COUNT is 1 if left out.
+pub const FAULTS: [(&str, &str); 18] = [
+    (
+        "emergency-stop",
+        "the emergency stop button is pressed: error 1, motors off; the error returns whenever it is cleared, and the \
+         motors cannot be switched on",
+    ),
+    ("release", "the button is released; the error stays until a client clears it"),
+    ("collision", "error 31: the arm stops"),
+    ("error CODE", "any error, 1 to 255: the arm stops in mode 0"),
+    ("warning CODE", "any warning, 1 to 255: the arm goes on"),
+    ("runaway MM_PER_S", "the flange moves along y whatever it is told, until the arm is stopped"),
+    (
+        "creep MM_PER_S",
+        "the flange creeps along y whenever the arm is on and told to rest, and says it rests; 0 ends it",
+    ),
+    ("mode N", "another client sets mode N (0, 1, 2, 4, 5, 6, 7) and sets the arm running"),
+    ("state N", "another client sets state N: 0 run, 3 pause, 4 stop, 6 slow down and stop"),
+    ("refuse [COUNT]", "the arm refuses the next velocities"),
+    (
+        "gripper-late MS",
+        "replies of the gripper come so much later from now on, while the arm answers at once; 0 ends it",
+    ),
+    ("gripper-off", "the gripper's motor is switched off: it stands and refuses to move until it is enabled"),
+    ("object PULSES", "an object of this width is put between the fingers, which then close no further"),
+    ("drop", "all connections are cut"),
+    ("late MS [COUNT]", "the next replies come so much later, and hold up those behind them"),
+    ("torn [COUNT]", "the next replies come byte by byte"),
+    ("garbage [COUNT]", "random bytes come instead of the next replies"),
+    ("silent [COUNT]", "the next replies do not come"),
+];
+
 /// A line that is no fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "`{line}` is no fault: write emergency-stop, release, collision, error CODE, warning CODE, runaway MM_PER_S, drop, \
-     late MS [COUNT], torn [COUNT], garbage [COUNT] or silent [COUNT]"
-)]
+#[error("`{line}` is no fault: write {forms}", forms = forms())]
 pub struct FaultError {
     line: String,
+}
+
+/// All forms, one after the other.
+fn forms() -> String {
+    let forms = FAULTS.map(|(form, _)| form);
+    let (last, others) = forms.split_last().unwrap_or((&"", &[]));
+    format!("{} or {last}", others.join(", "))
 }
 
 impl FromStr for Fault {
@@ -45,40 +97,46 @@ impl FromStr for Fault {
 
     fn from_str(line: &str) -> Result<Fault, FaultError> {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let wrong = || FaultError { line: line.to_owned() };
-        let count = |place: usize| match words.get(place) {
-            None => Ok(1),
-            Some(word) => word.parse().map_err(|_| wrong()),
-        };
-        let code =
-            || words.get(1).and_then(|word| word.parse().ok()).filter(|&code| code > 0).ok_or_else(wrong);
-        let (fault, most_words) = match words.first().copied() {
-            Some("emergency-stop") => (Fault::EmergencyStop, 1),
-            Some("release") => (Fault::Release, 1),
-            Some("collision") => (Fault::Collision, 1),
-            Some("drop") => (Fault::Drop, 1),
-            Some("error") => (Fault::Error(code()?), 2),
-            Some("warning") => (Fault::Warning(code()?), 2),
-            Some("runaway") => {
-                let speed = words.get(1).and_then(|word| word.parse().ok()).ok_or_else(wrong)?;
-                (Fault::Runaway(speed), 2)
-            }
-            Some("late") => {
-                let ms = words.get(1).and_then(|word| word.parse().ok()).ok_or_else(wrong)?;
-                (Fault::Late(Duration::from_millis(ms), count(2)?), 3)
-            }
-            Some("torn") => (Fault::Torn(count(1)?), 2),
-            Some("garbage") => (Fault::Garbage(count(1)?), 2),
-            Some("silent") => (Fault::Silent(count(1)?), 2),
-            _ => return Err(wrong()),
-        };
-        if words.len() <= most_words { Ok(fault) } else { Err(wrong()) }
+        parse(&words).ok_or_else(|| FaultError { line: line.to_owned() })
+    }
+}
+
+fn parse(words: &[&str]) -> Option<Fault> {
+    let (&name, values) = words.split_first()?;
+    let code = |word: &str| word.parse().ok().filter(|&code| code > 0);
+    let duration = |word: &str| word.parse().ok().map(Duration::from_millis);
+    let count = |values: &[&str]| match values {
+        [] => Some(1),
+        [count] => count.parse().ok(),
+        _ => None,
+    };
+    match (name, values) {
+        ("emergency-stop", []) => Some(Fault::EmergencyStop),
+        ("release", []) => Some(Fault::Release),
+        ("collision", []) => Some(Fault::Collision),
+        ("error", [value]) => code(value).map(Fault::Error),
+        ("warning", [value]) => code(value).map(Fault::Warning),
+        ("runaway", [speed]) => speed.parse().ok().map(Fault::Runaway),
+        ("creep", [speed]) => speed.parse().ok().map(Fault::Creep),
+        ("mode", [number]) => Mode::from_number(number.parse().ok()?).map(Fault::Mode),
+        ("state", [number]) => StateOrder::from_number(number.parse().ok()?).map(Fault::State),
+        ("refuse", values) => count(values).map(Fault::Refuse),
+        ("gripper-late", [ms]) => duration(ms).map(Fault::GripperLate),
+        ("gripper-off", []) => Some(Fault::GripperOff),
+        ("object", [width]) => width.parse().ok().map(Fault::Object),
+        ("drop", []) => Some(Fault::Drop),
+        ("late", [ms, values @ ..]) => Some(Fault::Late(duration(ms)?, count(values)?)),
+        ("torn", values) => count(values).map(Fault::Torn),
+        ("garbage", values) => count(values).map(Fault::Garbage),
+        ("silent", values) => count(values).map(Fault::Silent),
+        _ => None,
     }
 }
 
 /// What goes wrong with the next replies.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ReplyFaults {
+    gripper_late: Duration,
     late: Duration,
     late_count: u32,
     torn_count: u32,
@@ -99,12 +157,18 @@ pub(crate) enum ReplyFault {
 impl ReplyFaults {
     pub(crate) fn add(&mut self, fault: Fault) {
         match fault {
+            Fault::GripperLate(late) => self.gripper_late = late,
             Fault::Late(late, count) => (self.late, self.late_count) = (late, count),
             Fault::Torn(count) => self.torn_count = count,
             Fault::Garbage(count) => self.garbage_count = count,
             Fault::Silent(count) => self.silent_count = count,
             _ => {}
         }
+    }
+
+    /// How late replies of the gripper are.
+    pub(crate) fn gripper_late(&self) -> Duration {
+        self.gripper_late
     }
 
     /// What goes wrong with the next reply.
@@ -135,8 +199,21 @@ mod tests {
         assert_eq!("torn".parse(), Ok(Fault::Torn(1)));
         assert_eq!("error 23".parse(), Ok(Fault::Error(23)));
         assert_eq!("runaway -150".parse(), Ok(Fault::Runaway(-150)));
-        for wrong in ["", "late", "error 0", "error 300", "drop it", "runaway", "boom"] {
-            assert!(wrong.parse::<Fault>().is_err(), "{wrong}");
+        assert_eq!("mode 0".parse(), Ok(Fault::Mode(Mode::Position)));
+        assert_eq!("state 3".parse(), Ok(Fault::State(StateOrder::Pause)));
+        assert_eq!("gripper-late 120".parse(), Ok(Fault::GripperLate(Duration::from_millis(120))));
+        for wrong in ["", "late", "error 0", "error 300", "drop it", "runaway", "mode 3", "state 9", "boom"] {
+            let error = wrong.parse::<Fault>().unwrap_err();
+            assert!(error.to_string().contains("creep MM_PER_S, mode N"), "{error}");
+        }
+    }
+
+    #[test]
+    fn every_form_is_understood_and_explained() {
+        for (form, explanation) in FAULTS {
+            let line = form.replace("MM_PER_S", "20").replace("MS", "100").replace("CODE", "31");
+            let line = line.replace("[COUNT]", "2").replace("PULSES", "400").replace(" N", " 0");
+            assert!(line.parse::<Fault>().is_ok() && explanation.len() > 10, "{line}");
         }
     }
 }

@@ -1,49 +1,149 @@
-//! The program `xarm-emulator`: an arm to try everything on that may go wrong.
+//! The program `xarm-emulator`: an emulated xArm7 to try out whatever may go wrong with a real one.
 #![forbid(unsafe_code)]
 
 use std::io::{BufRead, Write};
 use std::net::IpAddr;
 
+use anyhow::Context;
 use clap::Parser;
-use tendon_xarm_emulator::{Emulator, Fault, Listen};
+use tendon_xarm::{Firmware, Setup};
+use tendon_xarm_emulator::{Emulator, FAULTS, Fault, Listen, Properties};
 
-/// An xArm7 that is not there, for the vendor's clients and for Tendon.
+/// An emulated xArm7, for Tendon and for the vendor's own clients.
 ///
-/// Reads lines from its standard input: `state` prints how the arm is, `quit` ends it, and these make something go
-/// wrong: emergency-stop, release, collision, error CODE, warning CODE, runaway MM_PER_S, drop, late MS COUNT, torn COUNT,
-/// garbage COUNT, silent COUNT. Without an input it runs until it is killed.
+/// It prints `ready`, its address and its ports, then reads lines from its standard input. `state` prints how the arm
+/// is, `quit` ends the program, and the faults listed below make something go wrong or put it right. Without a
+/// standard input it runs until it is killed.
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, after_help = faults())]
 struct Options {
     /// Where to listen; whoever reaches it can move the arm.
-    #[arg(long, default_value = "127.0.0.1")]
+    #[arg(long, default_value = "127.0.0.1", help_heading = "Network")]
     address: IpAddr,
-    /// Port of control, 0 for any. Ports below 1024 may need rights.
-    #[arg(long, default_value_t = 502)]
+    /// Port of the control connection, 0 for any. Ports below 1024 may need rights.
+    #[arg(long, default_value_t = 502, help_heading = "Network")]
     control_port: u16,
     /// Port of the normal reports, 5 Hz.
-    #[arg(long, default_value_t = 30001)]
+    #[arg(long, default_value_t = 30001, help_heading = "Network")]
     normal_report_port: u16,
     /// Port of the rich reports, 5 Hz.
-    #[arg(long, default_value_t = 30002)]
+    #[arg(long, default_value_t = 30002, help_heading = "Network")]
     rich_report_port: u16,
     /// Port of the real-time reports, 100 Hz.
-    #[arg(long, default_value_t = 30003)]
+    #[arg(long, default_value_t = 30003, help_heading = "Network")]
     real_time_report_port: u16,
-    /// A fault from the start, as on standard input; may be given several times.
+    #[command(flatten)]
+    arm: ArmOptions,
+    /// A fault from the start, quoted: --fault 'creep 20'. May be given several times.
     #[arg(long, value_name = "FAULT")]
     fault: Vec<Fault>,
 }
 
+/// Which arm to play.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Arm")]
+struct ArmOptions {
+    /// Number of joints that the arm claims to have; Tendon drives 7.
+    #[arg(long, default_value_t = 7)]
+    axes: u8,
+    /// Number of the model that the arm claims to be; 7 is the xArm7.
+    #[arg(long, default_value_t = 7)]
+    model: u8,
+    /// Version of the firmware. One before 1.8.0 keeps moving when no new velocity comes.
+    #[arg(long, default_value = "1.12.10", value_parser = firmware)]
+    firmware: Firmware,
+    /// Serial number. Characters 3 to 6 are the generation: from 1305 on joints 2 and 4 have less room.
+    #[arg(long, default_value = "XI130000000000")]
+    serial_number: String,
+    /// From the flange to the tip of the tool, as set on the controller: mm and rad. The reported pose is that of the
+    /// tip.
+    #[arg(
+        long,
+        value_name = "X,Y,Z,ROLL,PITCH,YAW",
+        default_value = "0,0,0,0,0,0",
+        value_parser = numbers::<6>,
+        allow_hyphen_values = true
+    )]
+    tcp_offset: [f32; 6],
+    /// Load that is set on the controller: mass in kg, then its centre from the flange in mm.
+    #[arg(
+        long,
+        value_name = "KG,X,Y,Z",
+        default_value = "0,0,0,0",
+        value_parser = numbers::<4>,
+        allow_hyphen_values = true
+    )]
+    load: [f32; 4],
+    /// Collision sensitivity that is set on the controller: 0 is off, 5 the most sensitive.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=5))]
+    collision_sensitivity: u8,
+    /// Teaching sensitivity that is set on the controller.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=5))]
+    teaching_sensitivity: u8,
+    /// Direction of gravity that is set on the controller: 0,0,-1 for an arm on a table, 0,0,1 under a ceiling.
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        default_value = "0,0,-1",
+        value_parser = numbers::<3>,
+        allow_hyphen_values = true
+    )]
+    gravity: [f32; 3],
+}
+
+impl From<ArmOptions> for Properties {
+    fn from(options: ArmOptions) -> Properties {
+        let [load_kg, x, y, z] = options.load;
+        Properties {
+            axes: options.axes,
+            model: options.model,
+            firmware: options.firmware,
+            serial_number: options.serial_number,
+            setup: Setup {
+                tcp_offset: options.tcp_offset,
+                load_kg,
+                load_centre_mm: [x, y, z],
+                collision_sensitivity: options.collision_sensitivity,
+                teaching_sensitivity: options.teaching_sensitivity,
+                gravity: Some(options.gravity),
+            },
+        }
+    }
+}
+
+fn firmware(text: &str) -> anyhow::Result<Firmware> {
+    Firmware::parse(text).context("write three numbers, such as 1.12.10")
+}
+
+fn numbers<const COUNT: usize>(text: &str) -> anyhow::Result<[f32; COUNT]> {
+    let wanted = || format!("write {COUNT} numbers with commas between");
+    let values =
+        text.split(',').map(|word| word.trim().parse::<f32>().ok().filter(|value| value.is_finite()));
+    let values: Vec<f32> = values.collect::<Option<_>>().with_context(wanted)?;
+    <[f32; COUNT]>::try_from(values).ok().with_context(wanted)
+}
+
+/// All faults and what they do.
+fn faults() -> String {
+    let mut help = "Faults, on standard input or with --fault:".to_owned();
+    for (form, explanation) in FAULTS {
+        help += &format!("\n  {form:<18} {explanation}");
+    }
+    help += "\n\nExample: an arm with a tool, whose emergency stop is pressed from the start:\n  \
+             xarm-emulator --control-port 5020 --tcp-offset 0,0,172,0,0,0 --load 0.8,0,0,48 --fault emergency-stop";
+    help
+}
+
 fn main() -> anyhow::Result<()> {
     let options = Options::parse();
-    let emulator = Emulator::start(Listen {
+    let listen = Listen {
         address: options.address,
         control_port: options.control_port,
         normal_report_port: options.normal_report_port,
         rich_report_port: options.rich_report_port,
         real_time_report_port: options.real_time_report_port,
-    })?;
+    };
+    let emulator = Emulator::start_as(options.arm.into(), listen)?;
     options.fault.iter().for_each(|&fault| emulator.inject(fault));
     let mut output = std::io::stdout();
     let Listen { address, control_port, normal_report_port, rich_report_port, real_time_report_port } =
@@ -57,20 +157,7 @@ fn main() -> anyhow::Result<()> {
         match line?.trim() {
             "" => {}
             "quit" => return Ok(()),
-            "state" => {
-                let model = emulator.model();
-                let report = model.report();
-                writeln!(
-                    output,
-                    "state {:?} mode {} codes {:?} speed_mm_per_s {:.3} pose {:?} gripper_pulses {:.0}",
-                    report.state,
-                    report.mode,
-                    model.codes(),
-                    model.speed_mm_per_s(),
-                    report.pose,
-                    model.gripper().position_pulses,
-                )?;
-            }
+            "state" => print_state(&emulator, &mut output)?,
             line => match line.parse() {
                 Ok(fault) => emulator.inject(fault),
                 Err(error) => writeln!(output, "{error}")?,
@@ -79,5 +166,43 @@ fn main() -> anyhow::Result<()> {
     }
     loop {
         std::thread::park();
+    }
+}
+
+fn print_state(emulator: &Emulator, output: &mut impl Write) -> std::io::Result<()> {
+    let model = emulator.model();
+    let report = model.report();
+    writeln!(
+        output,
+        "state {:?} mode {} codes {:?} speed_mm_per_s {:.3} pose {:?} gripper_pulses {:.0} gripper_moves {}",
+        report.state,
+        report.mode,
+        model.codes(),
+        model.speed_mm_per_s(),
+        report.pose,
+        model.gripper().position_pulses,
+        model.gripper().moves(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_options_are_those_of_an_xarm7_by_default() {
+        Options::command().debug_assert();
+        let options = Options::parse_from(["xarm-emulator"]);
+        assert_eq!(Properties::from(options.arm), Properties::default());
+        let options =
+            Options::parse_from(["xarm-emulator", "--tcp-offset", "-1,0,172,0,0,0", "--firmware", "1.7.9"]);
+        let properties = Properties::from(options.arm);
+        assert_eq!(properties.setup.tcp_offset[..3], [-1.0, 0.0, 172.0]);
+        assert!(!properties.firmware.obeys_duration());
+        for wrong in ["1,2", "1,2,3,4,5,x", "1,2,3,4,5,inf"] {
+            assert!(Options::try_parse_from(["xarm-emulator", "--tcp-offset", wrong]).is_err(), "{wrong}");
+        }
     }
 }

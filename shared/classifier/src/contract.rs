@@ -92,60 +92,100 @@ impl fmt::Display for Mismatch {
     }
 }
 
+/// What can be wrong with what a model says of itself.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ContractProblem {
+    /// Metadata that are missing.
+    #[error("the metadata lack `{key}`, so nobody can know what it fits")]
+    Missing {
+        /// The key.
+        key: &'static str,
+    },
+    /// Metadata that mean nothing.
+    #[error("the metadata's `{key}` is `{value}`, which makes no sense")]
+    Senseless {
+        /// The key.
+        key: &'static str,
+        /// Its value.
+        value: String,
+    },
+    /// Metadata of another layout.
+    #[error("the metadata are of contract version {found}, this program reads {}", CONTRACT_VERSION)]
+    Version {
+        /// Their version.
+        found: String,
+    },
+    /// Two outputs for one class.
+    #[error("the metadata's `tendon.classes` name `{class}` twice")]
+    ClassTwice {
+        /// The class.
+        class: Class,
+    },
+    /// Too many inputs or outputs, or none.
+    #[error("the model has {found} {what}s instead of one")]
+    Count {
+        /// `input` or `output`.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+    },
+    /// An input or output of another shape or type than the metadata say.
+    #[error("the {what} is {found}, not float32 {expected:?} as the metadata say")]
+    Shape {
+        /// `input` or `output`.
+        what: &'static str,
+        /// What it is.
+        found: String,
+        /// The shape that follows from the metadata.
+        expected: Vec<i64>,
+    },
+    /// Outputs that are no probabilities: a softmax is missing.
+    #[error("its outputs are no probabilities, from 0 to 1 and 1 together, but {outputs:?}")]
+    NoProbabilities {
+        /// The outputs for a window of zeros.
+        outputs: Vec<f32>,
+    },
+}
+
 impl Contract {
     /// Reads a contract through `lookup`, which gives the metadata's value for a key.
     ///
     /// # Errors
     ///
-    /// A sentence on the first key that is missing or wrong.
-    pub fn read(lookup: impl Fn(&str) -> Option<String>) -> Result<Contract, String> {
-        let get = |key: &str| {
-            lookup(key).ok_or_else(|| format!("the metadata lack `{key}`, so nobody can know what it fits"))
-        };
-        let wrong =
-            |key: &str, value: &str| format!("the metadata's `{key}` is `{value}`, which makes no sense");
+    /// The first key that is missing or wrong.
+    pub fn read(lookup: impl Fn(&str) -> Option<String>) -> Result<Contract, ContractProblem> {
+        let get = |key: &'static str| lookup(key).ok_or(ContractProblem::Missing { key });
         let version = get("tendon.contract_version")?;
         if version != CONTRACT_VERSION {
-            return Err(format!(
-                "the metadata are of contract version {version}, this program reads {CONTRACT_VERSION}"
-            ));
+            return Err(ContractProblem::Version { found: version });
         }
-        let count = |key: &str, value: String| {
-            value.parse().ok().filter(|count: &usize| *count > 0).ok_or_else(|| wrong(key, &value))
-        };
-        let number = |key: &str, value: String, is_valid: fn(f64) -> bool| {
-            value.parse().ok().filter(|number| is_valid(*number)).ok_or_else(|| wrong(key, &value))
-        };
-        let filter = get("tendon.filter")?;
-        let classes = get("tendon.classes")?;
         let people = lookup("tendon.people_trained").unwrap_or_default();
         let accuracy = "tendon.validation_accuracy";
         Ok(Contract {
-            channels: count("tendon.channels", get("tendon.channels")?)?,
-            sample_rate_hz: number("tendon.sample_rate_hz", get("tendon.sample_rate_hz")?, |rate| {
+            channels: count("tendon.channels", &get("tendon.channels")?)?,
+            sample_rate_hz: number("tendon.sample_rate_hz", &get("tendon.sample_rate_hz")?, |rate| {
                 rate.is_finite() && rate > 0.0
             })?,
-            window_samples: count("tendon.window_samples", get("tendon.window_samples")?)?,
+            window_samples: count("tendon.window_samples", &get("tendon.window_samples")?)?,
             sequence_windows: lookup("tendon.sequence_windows")
-                .map_or(Ok(1), |value| count("tendon.sequence_windows", value))?,
-            filter: serde_json::from_str(&filter).map_err(|_| wrong("tendon.filter", &filter))?,
+                .map_or(Ok(1), |value| count("tendon.sequence_windows", &value))?,
+            filter: {
+                let filter = get("tendon.filter")?;
+                serde_json::from_str(&filter).map_err(|_| senseless("tendon.filter", &filter))?
+            },
             input: match lookup("tendon.input").as_deref() {
                 None | Some("raw") => WindowInput::Raw,
                 Some("envelope") => WindowInput::Envelope,
-                Some(other) => return Err(wrong("tendon.input", other)),
+                Some(other) => return Err(senseless("tendon.input", other)),
             },
-            classes: classes
-                .split(',')
-                .map(|name| name.trim().parse())
-                .collect::<Result<Vec<Class>, _>>()
-                .map_err(|_| wrong("tendon.classes", &classes))?,
+            classes: read_classes(&get("tendon.classes")?)?,
             people_trained: people
                 .split_whitespace()
                 .map(str::parse)
                 .collect::<Result<Vec<u16>, _>>()
-                .map_err(|_| wrong("tendon.people_trained", &people))?,
+                .map_err(|_| senseless("tendon.people_trained", &people))?,
             validation_accuracy: lookup(accuracy)
-                .map(|value| number(accuracy, value, |share| (0.0..=1.0).contains(&share)))
+                .map(|value| number(accuracy, &value, |share| (0.0..=1.0).contains(&share)))
                 .transpose()?,
             provenance: lookup("tendon.provenance"),
         })
@@ -189,6 +229,31 @@ impl Contract {
         compare("input", self.input == source.input, said(self.input), said(source.input));
         mismatches
     }
+}
+
+fn senseless(key: &'static str, value: &str) -> ContractProblem {
+    ContractProblem::Senseless { key, value: value.to_owned() }
+}
+
+fn count(key: &'static str, value: &str) -> Result<usize, ContractProblem> {
+    value.parse().ok().filter(|count: &usize| *count > 0).ok_or_else(|| senseless(key, value))
+}
+
+fn number(key: &'static str, value: &str, is_valid: fn(f64) -> bool) -> Result<f64, ContractProblem> {
+    value.parse().ok().filter(|number| is_valid(*number)).ok_or_else(|| senseless(key, value))
+}
+
+/// The classes of `extension,flexion,…`, each at most once.
+fn read_classes(names: &str) -> Result<Vec<Class>, ContractProblem> {
+    let mut classes = Vec::new();
+    for name in names.split(',') {
+        let class: Class = name.trim().parse().map_err(|_| senseless("tendon.classes", names))?;
+        if classes.contains(&class) {
+            return Err(ContractProblem::ClassTwice { class });
+        }
+        classes.push(class);
+    }
+    Ok(classes)
 }
 
 #[cfg(test)]
@@ -274,11 +339,12 @@ mod tests {
             ("tendon.sequence_windows", Some("0"), "`tendon.sequence_windows` is `0`"),
             ("tendon.people_trained", Some("1 and 3"), "`tendon.people_trained` is `1 and 3`"),
             ("tendon.validation_accuracy", Some("NaN"), "`tendon.validation_accuracy` is `NaN`"),
+            ("tendon.classes", Some("grip,rest,grip"), "name `grip` twice"),
         ] {
             let changed = |asked: &str| {
                 if asked == key { value.map(str::to_owned) } else { metadata(asked) }
             };
-            let error = Contract::read(changed).unwrap_err();
+            let error = Contract::read(changed).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");
         }
     }

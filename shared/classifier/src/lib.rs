@@ -20,11 +20,11 @@ use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::ValueType;
 
-pub use contract::{Contract, Mismatch, WindowSource};
+pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
 pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, Recogniser, default_model_file};
 
-use run::Runner;
+use run::{RunError, Runner};
 
 /// Why there is no classifier.
 #[derive(Debug, thiserror::Error)]
@@ -66,7 +66,7 @@ pub enum ClassifierError {
         /// The model.
         path: PathBuf,
         /// What is missing or wrong.
-        problem: String,
+        problem: ContractProblem,
     },
     /// The model was trained for something else.
     #[error("{}: does not fit: {differences}; take another model with --model, or change the settings", path.display())]
@@ -84,6 +84,12 @@ pub enum ClassifierError {
     },
 }
 
+impl From<RunError> for ClassifierError {
+    fn from(error: RunError) -> ClassifierError {
+        ClassifierError::Run { reason: error.to_string() }
+    }
+}
+
 /// A loaded model, ready to classify windows one by one. Once warm, classifying allocates nothing on our side.
 #[derive(Debug)]
 pub struct Classifier {
@@ -99,32 +105,35 @@ impl Classifier {
     ///
     /// [`ClassifierError`], naming the file and the remedy.
     pub fn load(library: &Path, model: &Path) -> Result<Classifier, ClassifierError> {
-        let library_error =
-            |reason: String| ClassifierError::RuntimeLibrary { path: library.to_owned(), reason };
-        let environment = environment(library).map_err(library_error)?;
-        let model_error =
-            |reason: String| ClassifierError::Model { path: model.to_owned(), reason: one_line(&reason) };
+        let environment = environment(library).map_err(|error| ClassifierError::RuntimeLibrary {
+            path: library.to_owned(),
+            reason: error.to_string(),
+        })?;
         if !model.is_file() {
-            return Err(model_error("there is no such file".to_owned()));
+            return Err(ClassifierError::Model {
+                path: model.to_owned(),
+                reason: "there is no such file".to_owned(),
+            });
         }
-        let session = Session::builder(&environment)
-            .map_err(|error| model_error(error.to_string()))?
-            .with_intra_threads(1)
-            .map_err(|error| model_error(error.to_string()))?
-            .with_inter_threads(1)
-            .map_err(|error| model_error(error.to_string()))?
-            .with_optimization_level(GraphOptimizationLevel::Level3)
-            .map_err(|error| model_error(error.to_string()))?
-            .commit_from_file(model)
-            .map_err(|error| model_error(error.to_string()))?;
-        let contract_error = |problem: String| ClassifierError::Contract { path: model.to_owned(), problem };
+        let model_error = |error: &dyn std::fmt::Display| ClassifierError::Model {
+            path: model.to_owned(),
+            reason: one_line(&error.to_string()),
+        };
+        let contract_error = |problem| ClassifierError::Contract { path: model.to_owned(), problem };
+        let session = open_session(&environment, model).map_err(|error| model_error(&error))?;
         let contract = {
-            let metadata = session.metadata().map_err(|error| model_error(error.to_string()))?;
+            let metadata = session.metadata().map_err(|error| model_error(&error))?;
             Contract::read(|key| metadata.custom(key)).map_err(contract_error)?
         };
         let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
-        let runner = Runner::new(session, [&input, &output], &input_shape(&contract), contract.classes.len())
-            .map_err(|error| model_error(error.to_string()))?;
+        let shape = input_shape(&contract);
+        let mut runner = Runner::new(session, [&input, &output], &shape, contract.classes.len())
+            .map_err(|error| model_error(&error))?;
+        let silence = vec![0.0; shape.iter().product::<i64>() as usize];
+        let outputs = runner.run(&silence).map_err(|error| model_error(&error))?;
+        if !are_probabilities(outputs) {
+            return Err(contract_error(ContractProblem::NoProbabilities { outputs: outputs.to_vec() }));
+        }
         Ok(Classifier { path: model.to_owned(), contract, runner })
     }
 
@@ -161,52 +170,53 @@ impl Classifier {
     /// [`ClassifierError::Run`] when the window has another length than the contract says, or ONNX Runtime
     /// fails.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
-        self.runner.run(window).map_err(|reason| ClassifierError::Run { reason })
+        self.runner.run(window).map_err(ClassifierError::from)
     }
 }
 
 /// The process's one ONNX Runtime environment: a second one is refused, and so is a second library.
-fn environment(library: &Path) -> Result<Environment, String> {
+fn environment(library: &Path) -> Result<Environment, RunError> {
     static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
     let mut environment = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(environment) = &*environment {
         return Ok(environment.clone());
     }
-    let made = ort::init_from(library)
-        .map_err(|error| error.to_string())?
-        .with_name("tendon")
-        .with_telemetry(false)
-        .build()
-        .map_err(|error| error.to_string())?;
+    let library = ort::init_from(library).map_err(|error| RunError::Runtime(error.to_string()))?;
+    let made = library.with_name("tendon").with_telemetry(false).build()?;
     Ok(environment.insert(made).clone())
 }
 
+/// Opens the model for one thread.
+fn open_session(environment: &Environment, model: &Path) -> Result<Session, ort::Error> {
+    let builder = Session::builder(environment)?.with_intra_threads(1)?.with_inter_threads(1)?;
+    builder.with_optimization_level(GraphOptimizationLevel::Level3)?.commit_from_file(model)
+}
+
+/// Whether the outputs can be what a softmax gives, but for rounding.
+fn are_probabilities(outputs: &[f32]) -> bool {
+    let sum: f32 = outputs.iter().sum();
+    outputs.iter().all(|output| (-1e-3..=1.0 + 1e-3).contains(output)) && (sum - 1.0).abs() < 1e-2
+}
+
 /// Names of the model's one input and one output, if their shapes are what the contract says.
-fn names_of_tensors(session: &Session, contract: &Contract) -> Result<(String, String), String> {
+fn names_of_tensors(session: &Session, contract: &Contract) -> Result<(String, String), ContractProblem> {
     let [input] = session.inputs() else {
-        return Err(format!("the model has {} inputs instead of one", session.inputs().len()));
+        return Err(ContractProblem::Count { what: "input", found: session.inputs().len() });
     };
     let [output] = session.outputs() else {
-        return Err(format!("the model has {} outputs instead of one", session.outputs().len()));
+        return Err(ContractProblem::Count { what: "output", found: session.outputs().len() });
     };
-    let fits = |dtype: &ValueType, wanted: &[i64]| match dtype {
-        ValueType::Tensor { ty: ort::value::TensorElementType::Float32, shape, .. } => {
-            shape.len() == wanted.len()
-                && shape.iter().zip(wanted).all(|(actual, wanted)| *actual < 0 || actual == wanted)
+    let check = |what, dtype: &ValueType, expected: Vec<i64>| match dtype {
+        ValueType::Tensor { ty: ort::value::TensorElementType::Float32, shape, .. }
+            if shape.len() == expected.len()
+                && shape.iter().zip(&expected).all(|(actual, wanted)| *actual < 0 || actual == wanted) =>
+        {
+            Ok(())
         }
-        _ => false,
+        _ => Err(ContractProblem::Shape { what, found: format!("{dtype:?}"), expected }),
     };
-    let window = input_shape(contract);
-    if !fits(input.dtype(), &window) {
-        return Err(format!("the input is {:?}, not float32 {window:?} as the metadata say", input.dtype()));
-    }
-    let classes = [1, contract.classes.len() as i64];
-    if !fits(output.dtype(), &classes) {
-        return Err(format!(
-            "the output is {:?}, not float32 {classes:?} as the metadata say",
-            output.dtype()
-        ));
-    }
+    check("input", input.dtype(), input_shape(contract))?;
+    check("output", output.dtype(), vec![1, contract.classes.len() as i64])?;
     Ok((input.name().to_owned(), output.name().to_owned()))
 }
 
@@ -220,4 +230,23 @@ fn input_shape(contract: &Contract) -> Vec<i64> {
 /// ONNX Runtime's messages come with line breaks; an error of ours is one sentence.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_are_probabilities_or_the_model_is_refused() {
+        for (outputs, expected) in [
+            (&[0.25_f32; 4][..], true),
+            (&[1.0, 0.0], true),
+            (&[5.26, -4.26], false),
+            (&[0.5, 0.2], false),
+            (&[f32::NAN, 1.0], false),
+            (&[f32::INFINITY, 0.0], false),
+        ] {
+            assert_eq!(are_probabilities(outputs), expected, "{outputs:?}");
+        }
+    }
 }

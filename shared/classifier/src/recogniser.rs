@@ -129,7 +129,7 @@ impl Recogniser {
                 return Ok(&self.probabilities);
             }
         }
-        let outputs = self.gestures.runner.run(window).map_err(|reason| ClassifierError::Run { reason })?;
+        let outputs = self.gestures.runner.run(window)?;
         for (class, probability) in self.gestures.contract.classes.iter().zip(outputs) {
             if let Class::Gesture(gesture) = class {
                 self.probabilities[gesture.index()] = *probability;

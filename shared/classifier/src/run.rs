@@ -6,22 +6,46 @@
 
 use std::ffi::{CStr, CString, c_void};
 use std::fmt;
-use std::ptr::{null, null_mut};
+use std::ptr::{NonNull, null, null_mut};
 
 use ort::AsPointer;
 use ort::memory::{AllocationDevice, AllocatorType, MemoryInfo, MemoryType};
 use ort::session::Session;
 use ort::sys;
 
+/// Why a run could not be made, or failed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum RunError {
+    /// A window of another length than the model's.
+    #[error("{found} samples instead of {expected}")]
+    Length {
+        /// Samples given.
+        found: usize,
+        /// Samples wanted.
+        expected: usize,
+    },
+    /// ONNX Runtime's own word.
+    #[error("{0}")]
+    Runtime(String),
+}
+
+impl From<ort::Error> for RunError {
+    fn from(error: ort::Error) -> RunError {
+        RunError::Runtime(error.to_string())
+    }
+}
+
 /// A session with everything that a run needs, made beforehand.
+///
+/// Fields are dropped in their order: the tensor before the memory that it lies over, the session last.
 pub(crate) struct Runner {
     input_name: CString,
     output_name: CString,
     shape: Box<[i64]>,
     input_length: usize,
-    outputs: Box<[f32]>,
     /// Tensor over `outputs`.
     output_tensor: Tensor,
+    outputs: Outputs,
     memory: MemoryInfo<'static>,
     session: Session,
 }
@@ -38,41 +62,43 @@ impl Runner {
         [input_name, output_name]: [&str; 2],
         shape: &[i64],
         classes: usize,
-    ) -> Result<Runner, String> {
-        let memory = MemoryInfo::new(AllocationDevice::CPU, 0, AllocatorType::Device, MemoryType::Default)
-            .map_err(|error| error.to_string())?;
-        let name = |name: &str| CString::new(name).map_err(|error| error.to_string());
-        let mut outputs = vec![0.0; classes].into_boxed_slice();
-        // SAFETY: the boxed slice keeps its address when moved into the runner, outlives the tensor there, and
-        // is only read or written by others between runs.
-        let output_tensor = unsafe { Tensor::over(&memory, &mut outputs, &[1, classes as i64]) }?;
+    ) -> Result<Runner, RunError> {
+        let memory = MemoryInfo::new(AllocationDevice::CPU, 0, AllocatorType::Device, MemoryType::Default)?;
+        let name = |name: &str| CString::new(name).map_err(|error| RunError::Runtime(error.to_string()));
+        let outputs = Outputs::new(classes);
+        let bytes = classes * size_of::<f32>();
+        // SAFETY: `outputs` owns its memory through a raw pointer, so that moving it into the runner touches neither
+        // address nor validity; the runner drops the tensor first.
+        let output_tensor =
+            unsafe { Tensor::at(&memory, outputs.start.as_ptr().cast(), bytes, &[1, classes as i64]) }?;
         Ok(Runner {
             input_name: name(input_name)?,
             output_name: name(output_name)?,
             shape: shape.into(),
             input_length: shape.iter().product::<i64>() as usize,
-            outputs,
             output_tensor,
+            outputs,
             memory,
             session,
         })
     }
 
     /// Runs the model on `input`, a window or a sequence of such, where it lies; returns the outputs.
-    pub(crate) fn run(&mut self, input: &[f32]) -> Result<&[f32], String> {
+    pub(crate) fn run(&mut self, input: &[f32]) -> Result<&[f32], RunError> {
         if input.len() != self.input_length {
-            return Err(format!("{} samples instead of {}", input.len(), self.input_length));
+            return Err(RunError::Length { found: input.len(), expected: self.input_length });
         }
+        let address = input.as_ptr().cast_mut().cast();
         // SAFETY: ONNX Runtime only reads inputs; the tensor is dropped at the end of this function, before
         // the borrow of `input` ends.
-        let tensor = unsafe { Tensor::over_input(&self.memory, input, &self.shape) }?;
+        let tensor = unsafe { Tensor::at(&self.memory, address, size_of_val(input), &self.shape) }?;
         let input_names = [self.input_name.as_ptr()];
         let inputs = [tensor.0.cast_const()];
         let output_names = [self.output_name.as_ptr()];
         let mut outputs = [self.output_tensor.0];
         // SAFETY: the session and both tensors are alive; each array has as many elements as its count says;
-        // the names end in NUL; without run options the defaults hold. `&mut self` keeps a second run away
-        // from the output.
+        // the names end in NUL; without run options the defaults hold. `&mut self` keeps a second run, and whoever
+        // reads the outputs of the last one, away from the output.
         let status = unsafe {
             (ort::api().Run)(
                 self.session.ptr().cast_mut(),
@@ -86,7 +112,36 @@ impl Runner {
             )
         };
         check(status)?;
-        Ok(&self.outputs)
+        Ok(self.outputs.values())
+    }
+}
+
+/// Memory that ONNX Runtime writes a model's outputs to. It is owned through a raw pointer, not as a box: a box that
+/// is moved says that nobody else points to its content, and the tensor does.
+struct Outputs {
+    start: NonNull<f32>,
+    length: usize,
+}
+
+impl Outputs {
+    fn new(length: usize) -> Outputs {
+        let values: &'static mut [f32] = Box::leak(vec![0.0; length].into_boxed_slice());
+        Outputs { length, start: NonNull::from(values).cast() }
+    }
+
+    /// What the last run wrote.
+    fn values(&self) -> &[f32] {
+        // SAFETY: `start` is that of `length` initialised values, which live until `self` is dropped. Only a run
+        // writes to them, and `Runner::run` borrows the runner exclusively.
+        unsafe { std::slice::from_raw_parts(self.start.as_ptr(), self.length) }
+    }
+}
+
+impl Drop for Outputs {
+    fn drop(&mut self) {
+        let values = std::ptr::slice_from_raw_parts_mut(self.start.as_ptr(), self.length);
+        // SAFETY: the slice is the one that `new` leaked; it is taken back once, here, and the tensor over it is gone.
+        drop(unsafe { Box::from_raw(values) });
     }
 }
 
@@ -96,29 +151,14 @@ struct Tensor(*mut sys::OrtValue);
 impl Tensor {
     /// # Safety
     ///
-    /// `values` must stay where it is and alive as long as the tensor is used.
-    unsafe fn over(memory: &MemoryInfo<'_>, values: &mut [f32], shape: &[i64]) -> Result<Tensor, String> {
-        // SAFETY: passed on to the caller.
-        unsafe { Tensor::at(memory, values.as_mut_ptr().cast(), size_of_val(values), shape) }
-    }
-
-    /// # Safety
-    ///
-    /// As [`Tensor::over`], and the tensor must only be used as an input, which is never written to.
-    unsafe fn over_input(memory: &MemoryInfo<'_>, values: &[f32], shape: &[i64]) -> Result<Tensor, String> {
-        // SAFETY: passed on to the caller.
-        unsafe { Tensor::at(memory, values.as_ptr().cast_mut().cast(), size_of_val(values), shape) }
-    }
-
-    /// # Safety
-    ///
-    /// `values` must point to `bytes` bytes of f32 that live as long as the tensor is used.
+    /// `values` must point to `bytes` bytes of f32 that live as long as the tensor is used, and that nobody else writes
+    /// to or, unless it is only used as an input, reads from meanwhile.
     unsafe fn at(
         memory: &MemoryInfo<'_>,
         values: *mut c_void,
         bytes: usize,
         shape: &[i64],
-    ) -> Result<Tensor, String> {
+    ) -> Result<Tensor, RunError> {
         let mut tensor = null_mut();
         // SAFETY: `memory` and `shape` are alive for the call, `values` by the caller's promise, and `tensor`
         // receives the pointer.
@@ -146,7 +186,7 @@ impl Drop for Tensor {
 }
 
 /// Turns ONNX Runtime's status into a result.
-fn check(status: sys::OrtStatusPtr) -> Result<(), String> {
+fn check(status: sys::OrtStatusPtr) -> Result<(), RunError> {
     if status.0.is_null() {
         return Ok(());
     }
@@ -155,6 +195,6 @@ fn check(status: sys::OrtStatusPtr) -> Result<(), String> {
     unsafe {
         let message = CStr::from_ptr((ort::api().GetErrorMessage)(status.0)).to_string_lossy().into_owned();
         (ort::api().ReleaseStatus)(status.0);
-        Err(message)
+        Err(RunError::Runtime(message))
     }
 }

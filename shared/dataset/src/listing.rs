@@ -64,7 +64,7 @@ pub struct Recordings {
 ///
 /// # Errors
 /// When there is no recording under one of the paths, they are of several layouts, somebody's recording is there
-/// twice, the settings do not fit the recordings (filtered before or not, no sampling rate), `labels.csv` is
+/// twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate), `labels.csv` is
 /// wrong, or a folder cannot be read.
 pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, ListingError> {
     let mut found = Found::default();
@@ -81,6 +81,9 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
     };
     if let Some((other, second)) = found.candidates.iter().find(|(other, _)| *other != layout).cloned() {
         return Err(ListingError::SeveralLayouts { first, layout, second, other });
+    }
+    if let Some((_, path)) = found.candidates.iter().find(|(_, path)| path.to_str().is_none()) {
+        return Err(ListingError::NotUtf8 { path: path.clone() });
     }
     let mut skipped = found.skipped;
     let candidates: Vec<PathBuf> = found.candidates.into_iter().map(|(_, path)| path).collect();

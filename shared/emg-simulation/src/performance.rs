@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 
 use crate::script::Script;
+use crate::simulator::SimulationError;
 
 /// How fast contractions come and go.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,6 +28,21 @@ pub struct ContractionSettings {
 impl Default for ContractionSettings {
     fn default() -> ContractionSettings {
         ContractionSettings { rise_ms: 150.0, fall_ms: 150.0 }
+    }
+}
+
+impl ContractionSettings {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub fn check(&self) -> Result<(), SimulationError> {
+        for (key, value) in [("rise_ms", self.rise_ms), ("fall_ms", self.fall_ms)] {
+            if !(0.0..=10_000.0).contains(&value) {
+                return Err(SimulationError::Setting { key, value, range: "from 0 to 10000" });
+            }
+        }
+        Ok(())
     }
 }
 

@@ -54,7 +54,7 @@ pub struct Coherency {
 pub enum ProfileError {
     /// The text is no TOML, or lacks a key, or has one too many.
     #[error("profile: {0}")]
-    Toml(#[from] toml::de::Error),
+    Toml(toml::de::Error),
     /// A gesture occurs not at all or more than once.
     #[error("profile: {found} entries for the gesture `{gesture}`: give each of the six gestures once")]
     Gestures {
@@ -129,7 +129,7 @@ impl Profile {
     /// # Errors
     /// If the text is no TOML of this shape, or [`Profile::check`] finds fault with it.
     pub fn from_toml(text: &str) -> Result<Profile, ProfileError> {
-        let profile: Profile = toml::from_str(text)?;
+        let profile: Profile = toml::from_str(text).map_err(ProfileError::Toml)?;
         profile.check()?;
         Ok(profile)
     }

@@ -38,12 +38,12 @@ pub enum ScriptError {
         column: usize,
     },
     /// A word that names no gesture.
-    #[error("script, column {column}: {source}")]
+    #[error("script, column {column}: {unknown}")]
     Gesture {
         /// Where the word begins.
         column: usize,
         /// The word, and the names there are.
-        source: tendon_gesture::UnknownGesture,
+        unknown: tendon_gesture::UnknownGesture,
     },
     /// A gesture without a duration.
     #[error("script, column {column}: expected a duration after `{gesture}`, such as `2s` or `1500ms`")]
@@ -133,7 +133,7 @@ fn parse_step(part: &str, column: usize) -> Result<Step, ScriptError> {
     });
     let (name, name_column) = words.next().ok_or(ScriptError::MissingStep { column })?;
     let gesture: Gesture =
-        name.parse().map_err(|source| ScriptError::Gesture { column: name_column, source })?;
+        name.parse().map_err(|unknown| ScriptError::Gesture { column: name_column, unknown })?;
     let (text, text_column) = words.next().ok_or_else(|| ScriptError::MissingDuration {
         column: column + part.trim_end().chars().count(),
         gesture,

@@ -319,7 +319,11 @@ impl Dropouts {
 }
 
 impl SimulationSettings {
-    fn check(&self) -> Result<(), SimulationError> {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// The first setting that is out of its range.
+    pub fn check(&self) -> Result<(), SimulationError> {
         let wrong = |key, value, range| Err(SimulationError::Setting { key, value, range });
         if self.channels == 0 {
             return wrong("channels", 0.0, "at least 1");
@@ -328,24 +332,24 @@ impl SimulationSettings {
         if !(200.0..=100_000.0).contains(&self.sample_rate_hz) {
             return wrong("sample_rate_hz", self.sample_rate_hz, "from 200 to 100000");
         }
-        let not_negative = [
-            ("mains_hz", self.mains_hz),
-            ("mains_amplitude", f64::from(self.mains_amplitude)),
-            ("wander_hz", self.wander_hz),
-            ("wander_amplitude", f64::from(self.wander_amplitude)),
-            ("dropouts_per_minute", self.dropouts_per_minute),
-            ("dropout_ms", self.dropout_ms),
+        let bounded = [
+            ("mains_hz", self.mains_hz, 0.0..=1000.0, "from 0 to 1000"),
+            ("mains_amplitude", f64::from(self.mains_amplitude), 0.0..=1e9, "from 0 to 1e9"),
+            ("wander_hz", self.wander_hz, 0.0..=100.0, "from 0 to 100"),
+            ("wander_amplitude", f64::from(self.wander_amplitude), 0.0..=1e9, "from 0 to 1e9"),
+            ("offset", f64::from(self.offset), -1e9..=1e9, "from -1e9 to 1e9"),
+            ("dropouts_per_minute", self.dropouts_per_minute, 0.0..=6000.0, "from 0 to 6000"),
+            ("dropout_ms", self.dropout_ms, 0.0..=60_000.0, "from 0 to 60000"),
         ];
-        for (key, value) in not_negative {
-            if !value.is_finite() || value < 0.0 {
-                return wrong(key, value, "finite and not negative");
+        for (key, value, range, words) in bounded {
+            if !range.contains(&value) {
+                return wrong(key, value, words);
             }
         }
-        if !self.offset.is_finite() {
-            return wrong("offset", f64::from(self.offset), "finite");
-        }
         match self.clip_at {
-            Some(level) if level.is_nan() || level <= 0.0 => wrong("clip_at", f64::from(level), "positive"),
+            Some(level) if !(level > 0.0 && level.is_finite()) => {
+                wrong("clip_at", f64::from(level), "positive")
+            }
             _ => Ok(()),
         }
     }

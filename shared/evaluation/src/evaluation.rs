@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use tendon_report::LatencySummary;
 
 use crate::confusion::ClassScores;
-use crate::tally::Tally;
+use crate::tally::{Group, Tally};
 
 /// Scores of a classifier on a data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,25 +58,6 @@ pub struct ConfusedPair {
     pub windows: u64,
 }
 
-/// Answers for a group of windows.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Group {
-    /// Windows.
-    pub windows: u64,
-    /// Those whose class was predicted.
-    pub correct: u64,
-    /// Their share.
-    pub accuracy: f64,
-}
-
-impl Group {
-    pub(crate) fn add(&mut self, is_correct: bool) {
-        self.windows += 1;
-        self.correct += u64::from(is_correct);
-        self.accuracy = self.correct as f64 / self.windows as f64;
-    }
-}
-
 /// How much values differ. Every value counts the same; all are 0 where there is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
@@ -113,7 +94,8 @@ impl Spread {
 }
 
 impl Evaluation {
-    pub(crate) fn of(tally: &Tally) -> Evaluation {
+    /// The scores of the answers so far.
+    pub fn of(tally: &Tally) -> Evaluation {
         let Tally { classes, confusion, loss_sum, people, repetitions, work, windows_left_out } = tally;
         let name = |class: usize| classes[class].name().to_owned();
         let windows = confusion.windows();

@@ -1,8 +1,8 @@
-//! How well a classifier recognises gestures.
+//! How well a classifier recognises gestures, and a strategy steers.
 //!
 //! ```text
-//! window ─▶ probabilities ─▶ Tally ─▶ Evaluation ─▶ text, JSON
-//! its true gesture, person, repetition ─┘
+//! data set, recordings ─▶ windows ─▶ model ─▶ Tally ─▶ Evaluation ─▶ text, JSON           (score)
+//! recordings with cues ─▶ pipeline ─▶ decisions ─▶ StrategyTally ─▶ StrategyScores          (strategies)
 //! ```
 //!
 //! Scores are scikit-learn's, to the last digit: `classification_report`, `confusion_matrix`, `log_loss`.
@@ -11,9 +11,18 @@
 mod confusion;
 mod continuous;
 mod evaluation;
+mod people;
+mod score;
+mod sequence;
+mod strategies;
 mod tally;
 
 pub use confusion::{ClassScores, Confusion};
 pub use continuous::{CuePart, GestureWindows, RepetitionScores, Step, StrategyScores, StrategyTally, Times};
-pub use evaluation::{ConfusedPair, Evaluation, Group, Spread};
-pub use tally::{Answer, Origin, Tally};
+pub use evaluation::{ConfusedPair, Evaluation, Spread};
+pub use people::{PeopleError, chosen_people};
+pub use score::{OnProgress, ScoreError, Scores, score_dataset, score_recordings};
+pub use strategies::{
+    StrategyError, StrategyModels, StrategyProblem, WithTrials, dataset_settings, score_strategy, with_trials,
+};
+pub use tally::{Answer, Group, Origin, Tally};

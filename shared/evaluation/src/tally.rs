@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
 use tendon_gesture::{Class, Gesture};
 use tendon_report::duration_histogram;
 
 use crate::confusion::Confusion;
-use crate::evaluation::{Evaluation, Group};
 
 /// Whose window it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,6 +25,25 @@ pub struct Answer<'a> {
     pub probabilities: &'a [f32],
     /// How long it took, ns.
     pub work_ns: u64,
+}
+
+/// Answers for a group of windows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Group {
+    /// Windows.
+    pub windows: u64,
+    /// Those whose class was predicted.
+    pub correct: u64,
+    /// Their share.
+    pub accuracy: f64,
+}
+
+impl Group {
+    fn add(&mut self, is_correct: bool) {
+        self.windows += 1;
+        self.correct += u64::from(is_correct);
+        self.accuracy = self.correct as f64 / self.windows as f64;
+    }
 }
 
 /// Answers gathered so far.
@@ -101,10 +120,5 @@ impl Tally {
     /// The answers by class.
     pub fn confusion(&self) -> &Confusion {
         &self.confusion
-    }
-
-    /// The scores so far.
-    pub fn evaluate(&self) -> Evaluation {
-        Evaluation::of(self)
     }
 }

@@ -25,7 +25,7 @@ fn evaluate(case: &Value) -> Evaluation {
         let answer = Answer { probabilities: &probabilities, work_ns: 1000 };
         tally.record(truth, Origin { person: 1, repetition: 0 }, answer);
     }
-    tally.evaluate()
+    Evaluation::of(&tally)
 }
 
 fn triple(report: &ClassScores) -> Vec<f64> {
@@ -34,8 +34,11 @@ fn triple(report: &ClassScores) -> Vec<f64> {
 
 #[test]
 fn every_score_is_scikit_learns_to_the_last_digit() {
-    for (index, case) in cases().iter().enumerate() {
+    let cases = cases();
+    assert_eq!(cases.len(), 3);
+    for (index, case) in cases.iter().enumerate() {
         let evaluation = evaluate(case);
+        assert_eq!(evaluation.classes.len(), case["per_class"].as_array().unwrap().len(), "case {index}");
         assert_eq!(evaluation.accuracy, case["accuracy"].as_f64().unwrap(), "case {index}");
         assert!((evaluation.loss - case["loss"].as_f64().unwrap()).abs() < 1e-12, "case {index}");
         for (class, expected) in evaluation.classes.iter().zip(case["per_class"].as_array().unwrap()) {
@@ -60,7 +63,7 @@ fn windows_the_classifier_does_not_know_are_counted_and_named() {
     let truth = tally.class_of(Gesture::Grip).unwrap();
     let answer = Answer { probabilities: &[0.1, 0.1, 0.1, 0.1, 0.6], work_ns: 200_000 };
     tally.record(truth, Origin { person: 19, repetition: 7 }, answer);
-    let evaluation = tally.evaluate();
+    let evaluation = Evaluation::of(&tally);
     assert_eq!(evaluation.windows_left_out["rest"], 1);
     assert_eq!((evaluation.windows, evaluation.accuracy), (1, 1.0));
     assert_eq!(evaluation.per_person[&19].correct, 1);

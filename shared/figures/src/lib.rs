@@ -10,9 +10,11 @@
 mod canvas;
 mod confusion;
 mod latency;
+mod scores;
 mod zones;
 
 pub use canvas::FigureError;
 pub use confusion::confusion_figure;
 pub use latency::latency_figure;
+pub use scores::write_score_figures;
 pub use zones::zones_figure;

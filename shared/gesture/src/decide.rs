@@ -87,20 +87,21 @@ impl DecisionSettings {
         if !(1..=MAXIMUM_VOTES).contains(&self.vote_windows) {
             return invalid("vote_windows", self.vote_windows as f64, "take 1 to 15 windows");
         }
-        if self.grip_windows == 0 {
-            return invalid("grip_windows", 0.0, "take at least 1 window");
+        if !(1..=MAXIMUM_GRIPS).contains(&self.grip_windows) {
+            return invalid("grip_windows", f64::from(self.grip_windows), "take 1 to 100 windows");
         }
-        if !(self.grip_interval_s.is_finite() && self.grip_interval_s >= 0.0) {
-            return invalid("grip_interval_s", self.grip_interval_s, "take 0 or more seconds");
+        if !(0.0..=60.0).contains(&self.grip_interval_s) {
+            return invalid("grip_interval_s", self.grip_interval_s, "take 0 to 60 s");
         }
-        if !(self.speed_mm_per_s.is_finite() && self.speed_mm_per_s >= 0.0) {
-            return invalid("speed_mm_per_s", self.speed_mm_per_s, "take 0 or more mm/s");
+        if !(0.0..=1000.0).contains(&self.speed_mm_per_s) {
+            return invalid("speed_mm_per_s", self.speed_mm_per_s, "take 0 to 1000 mm/s");
         }
         Ok(())
     }
 }
 
 const MAXIMUM_VOTES: usize = 15;
+const MAXIMUM_GRIPS: u32 = 100;
 
 /// What is known of a window when it is decided upon.
 #[derive(Clone, Copy, Debug)]

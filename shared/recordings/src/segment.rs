@@ -1,9 +1,9 @@
 //! The parts that a recording is made of, and what is known about each.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use tendon_gesture::Gesture;
 
 /// A file of a recording, or a part of one.
@@ -54,6 +54,7 @@ impl fmt::Display for Notice {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SkippedEntry {
     /// The file, or the folder of the recording.
+    #[serde(serialize_with = "as_displayed")]
     pub path: PathBuf,
     /// Why.
     pub reason: String,
@@ -63,4 +64,9 @@ impl fmt::Display for SkippedEntry {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}: {}", self.path.display(), self.reason)
     }
+}
+
+/// JSON holds only UTF-8: of another name, what a message would show.
+fn as_displayed<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&path.display())
 }

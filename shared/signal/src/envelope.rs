@@ -89,7 +89,7 @@ mod tests {
         let error = Envelope::new(0.1, 1000.0).expect_err("no sample");
         assert_eq!(
             error.to_string(),
-            "envelope_ms = 0.1: give a duration from one sample to an hour, e.g. 25"
+            "envelope_ms = 0.1: give a duration from one sample to a minute, e.g. 25"
         );
     }
 }

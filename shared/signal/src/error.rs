@@ -45,8 +45,8 @@ pub enum DesignError {
         /// What was given.
         value: f64,
     },
-    /// A duration is shorter than a sample, or longer than an hour.
-    #[error("{setting} = {value}: give a duration from one sample to an hour, e.g. {example}")]
+    /// A duration is shorter than a sample, or longer than a minute.
+    #[error("{setting} = {value}: give a duration from one sample to a minute, e.g. {example}")]
     Duration {
         /// The key of the setting.
         setting: &'static str,
@@ -104,8 +104,8 @@ pub(crate) fn samples_of(
 ) -> Result<usize, DesignError> {
     check_sample_rate(sample_rate_hz)?;
     let samples = (value * unit_s * sample_rate_hz).round();
-    // An hour bounds what a slip of the unit could make the process allocate.
-    if samples >= 1.0 && samples <= 3600.0 * sample_rate_hz {
+    // A minute bounds what a slip of the unit could make the process allocate.
+    if samples >= 1.0 && samples <= 60.0 * sample_rate_hz {
         Ok(samples as usize)
     } else {
         Err(DesignError::Duration { setting, value, example })

@@ -146,3 +146,30 @@ fn a_channel_that_was_stuck_during_calibration_is_never_active() {
         }
     }
 }
+
+#[test]
+fn a_whole_block_gives_the_windows_that_its_pieces_give() {
+    let recording: Vec<[f32; CHANNELS]> = (0..400).map(|sample| [sample as f32, -1.0, f32::NAN]).collect();
+    let expected = windows_of(&recording, &[recording.len()]);
+    let block: Vec<f32> =
+        (0..CHANNELS).flat_map(|channel| recording.iter().map(move |sample| sample[channel])).collect();
+    let mut chain = SignalChain::new(&settings(), CHANNELS, RATE_HZ).expect("a chain");
+    let (mut seen, mut ends) = (Vec::new(), Vec::new());
+    let replaced = chain.push_block(&block, |chain, window, end| {
+        let mut samples = vec![0.0_f32; chain.window_len()];
+        chain.write_window(&mut samples);
+        seen.push((window, samples.iter().map(|sample| sample.to_bits()).collect::<Vec<u32>>()));
+        ends.push(end as u64 - 60);
+        Ok::<(), std::convert::Infallible>(())
+    });
+    assert_eq!((&seen, replaced), (&expected, Ok(400)));
+    assert!(ends.iter().eq(seen.iter().map(|(window, _)| &window.first_sample)));
+    // What breaks off is told, and nothing after it is taken.
+    let mut windows = 0;
+    let broken =
+        SignalChain::new(&settings(), CHANNELS, RATE_HZ).expect("a chain").push_block(&block, |_, _, _| {
+            windows += 1;
+            if windows == 3 { Err("enough") } else { Ok(()) }
+        });
+    assert_eq!((broken, windows), (Err("enough"), 3));
+}

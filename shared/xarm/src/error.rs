@@ -220,11 +220,31 @@ mod tests {
         assert_eq!(Fault::new(Source::Controller, 0), None);
     }
 
+    const CONTROLLER: [u8; 41] = [
+        1, 2, 3, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 21, 22, 23, 24, 25, 26, 27, 28, 30, 31, 32, 33, 34,
+        35, 36, 37, 38, 39, 40, 41, 42, 50, 51, 52, 53, 60, 110, 111,
+    ];
+    const WARNINGS: [u8; 5] = [11, 12, 13, 14, 15];
+    const SERVOS: [u8; 25] =
+        [10, 11, 12, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 26, 27, 28, 33, 34, 35, 36, 39, 40, 49, 52, 58];
+    const GRIPPERS: [u8; 12] = [9, 11, 12, 14, 15, 20, 21, 23, 25, 26, 33, 34];
+
+    /// Codes of the vendor's list for each source; every other one gets words that say so.
+    const LISTED: [(Source, &[u8]); 4] = [
+        (Source::Controller, &CONTROLLER),
+        (Source::Warning, &WARNINGS),
+        (Source::Servo, &SERVOS),
+        (Source::Gripper, &GRIPPERS),
+    ];
+
     #[test]
-    fn every_code_has_words_and_a_remedy() {
-        for source in [Source::Controller, Source::Warning, Source::Servo, Source::Gripper] {
+    fn every_listed_code_has_words_of_its_own_and_a_remedy() {
+        for (source, listed) in LISTED {
+            let unknown = Fault { source, code: u8::MAX }.words();
+            assert!(unknown.contains("does not know"), "{unknown}");
             for code in 1..=u8::MAX {
                 let fault = Fault { source, code };
+                assert_eq!(fault.words() != unknown, listed.contains(&code), "{fault}");
                 assert!(fault.words().len() > 10 && fault.remedy().len() > 10, "{fault}");
             }
         }

@@ -48,8 +48,12 @@ pub mod register {
 pub const LINE: u8 = 0x09;
 /// Modbus address of the gripper on that line.
 pub const ADDRESS: u8 = 0x08;
-/// In the lowest two bits of the status: the fingers move. 0: they stand; 2: they hold something.
+/// In the lowest two bits of the status: the fingers stand.
+pub const STANDING: u8 = 0;
+/// In the lowest two bits of the status: the fingers move.
 pub const MOVING: u8 = 1;
+/// In the lowest two bits of the status: the fingers hold something.
+pub const HOLDING: u8 = 2;
 /// Modbus function: read registers.
 pub const MODBUS_READ: u8 = 0x03;
 /// Modbus function: write registers.

@@ -29,6 +29,12 @@ pub enum ListingError {
         /// What lies there instead, if anything, in brackets.
         hint: String,
     },
+    /// A name that a manifest cannot hold.
+    #[error("{}: its name is not UTF-8, which a manifest cannot hold: rename the file or folder", .path.display())]
+    NotUtf8 {
+        /// The file or folder.
+        path: PathBuf,
+    },
     /// Recordings of several data sets: their people, channels and units have nothing to do with each other.
     #[error(
         "{} is of the layout {layout}, but {} of {other}: build a data set of each",

@@ -70,7 +70,7 @@ impl Paper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiments::plan::MODELS;
+    use crate::plan::MODELS;
     use tendon_gesture::Strategy;
 
     #[test]

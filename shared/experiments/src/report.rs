@@ -1,13 +1,14 @@
 //! The results as Markdown: each table of the paper with the paper's own values beside ours.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
+use std::path::Path;
 
-use tendon_evaluation::{GestureWindows, Spread};
+use tendon_evaluation::{GestureWindows, Scores, Spread, StrategyScores};
 use tendon_gesture::{Gesture, Strategy};
 
-use super::Results;
-use super::paper::{Paper, PaperModel};
-use crate::evaluate::Scores;
+use crate::paper::{Paper, PaperModel};
+use crate::run::Results;
 
 /// The whole report.
 pub fn text(paper: &Paper, results: &[Results]) -> String {
@@ -208,72 +209,71 @@ impl Report<'_> {
     fn models(&mut self, title: &str, names: &[&str]) -> std::fmt::Result {
         writeln!(self.text, "## {title}\n")?;
         for &name in names {
-            let paper = self.paper.models.get(name);
             // The windows of 300 ms are those of all other models.
             let own = if name == "window-300" { "cnn-raw" } else { name };
+            let results = self.results;
+            let runs: Vec<(&str, &[Scores])> = results
+                .iter()
+                .filter_map(|results| Some((results.source, results.models.get(own)?.as_slice())))
+                .collect();
+            let paper = self.paper.models.get(name);
             writeln!(self.text, "### {name}\n")?;
             if let Some(paper) = paper {
                 writeln!(self.text, "{}", paper_line(paper))?;
             }
-            let runs: Vec<(&str, &Vec<Scores>)> = self
-                .results
-                .iter()
-                .filter_map(|results| Some((results.source, results.models.get(own)?)))
-                .collect();
             for (source, runs) in &runs {
                 writeln!(self.text, "{}", own_line(source, runs))?;
             }
-            write!(self.text, "\n| class |")?;
-            if paper.is_some() {
-                write!(self.text, " paper: precision, recall, F1 (windows) |")?;
-            }
-            runs.iter().try_for_each(|(source, _)| {
-                write!(self.text, " {source}: precision, recall, F1 (windows) |")
-            })?;
-            let columns = runs.len() + usize::from(paper.is_some());
-            write!(self.text, "\n|---|{}\n", "---|".repeat(columns))?;
-            let classes: Vec<&str> = match (runs.first(), paper) {
-                (Some((_, runs)), _) => runs[0].evaluation.classes.iter().map(String::as_str).collect(),
-                (None, Some(paper)) => {
-                    let known = Gesture::ALL.map(Gesture::name).into_iter();
-                    known.filter(|class| paper.per_class.contains_key(*class)).collect()
-                }
-                (None, None) => Vec::new(),
-            };
-            for class in classes {
-                write!(self.text, "| {class} |")?;
-                if let Some(paper) = paper {
-                    let [precision, recall, f1, windows] = paper.per_class[class];
-                    write!(self.text, " {precision:.4}, {recall:.4}, {f1:.4} ({windows:.0}) |")?;
-                }
-                for (_, runs) in &runs {
-                    let scores = &runs[0].evaluation.per_class[class];
-                    write!(
-                        self.text,
-                        " {:.4}, {:.4}, {:.4} ({}) |",
-                        scores.precision, scores.recall, scores.f1, scores.support
-                    )?;
-                }
-                writeln!(self.text)?;
-            }
-            writeln!(self.text)?;
-            for results in self.results {
-                if let Some(file) = results
-                    .models
-                    .get(own)
-                    .and_then(|runs| runs[0].model.file_stem())
-                    .map(|stem| stem.to_string_lossy().into_owned())
-                {
-                    let folder = results.source.to_lowercase();
-                    writeln!(
-                        self.text,
-                        "![confusion matrix of {name}, {}]({folder}/figures/{file}-confusion.png)\n",
-                        results.source
-                    )?;
-                }
+            self.model_table(paper, &runs)?;
+            for (source, runs) in &runs {
+                let Some(stem) = Path::new(&runs[0].model).file_stem() else { continue };
+                writeln!(
+                    self.text,
+                    "![confusion matrix of {name}, {source}]({}/figures/{}-confusion.png)\n",
+                    source.to_lowercase(),
+                    stem.to_string_lossy()
+                )?;
             }
         }
         Ok(())
+    }
+
+    /// Precision, recall and F1 of every class, the paper's and those of each source.
+    fn model_table(&mut self, paper: Option<&PaperModel>, runs: &[(&str, &[Scores])]) -> std::fmt::Result {
+        write!(self.text, "\n| class |")?;
+        if paper.is_some() {
+            write!(self.text, " paper: precision, recall, F1 (windows) |")?;
+        }
+        for (source, _) in runs {
+            write!(self.text, " {source}: precision, recall, F1 (windows) |")?;
+        }
+        let columns = runs.len() + usize::from(paper.is_some());
+        write!(self.text, "\n|---|{}\n", "---|".repeat(columns))?;
+        let classes: Vec<&str> = match (runs.first(), paper) {
+            (Some((_, runs)), _) => runs[0].evaluation.classes.iter().map(String::as_str).collect(),
+            (None, Some(paper)) => {
+                let known = Gesture::ALL.map(Gesture::name).into_iter();
+                known.filter(|class| paper.per_class.contains_key(*class)).collect()
+            }
+            (None, None) => Vec::new(),
+        };
+        for class in classes {
+            write!(self.text, "| {class} |")?;
+            if let Some(paper) = paper {
+                let [precision, recall, f1, windows] = paper.per_class[class];
+                write!(self.text, " {precision:.4}, {recall:.4}, {f1:.4} ({windows:.0}) |")?;
+            }
+            for (_, runs) in runs {
+                let scores = &runs[0].evaluation.per_class[class];
+                write!(
+                    self.text,
+                    " {:.4}, {:.4}, {:.4} ({}) |",
+                    scores.precision, scores.recall, scores.f1, scores.support
+                )?;
+            }
+            writeln!(self.text)?;
+        }
+        writeln!(self.text)
     }
 
     fn strategies(&mut self) -> std::fmt::Result {
@@ -282,47 +282,51 @@ impl Report<'_> {
             "## The three strategies, offline on continuous recordings\n\nShares of windows, in percent, of people never \
              seen in training; the paper's are of one person's recordings made for it.\n"
         )?;
-        for strategy in Strategy::ALL {
-            let paper = &self.paper.strategies[strategy.name()];
-            write!(self.text, "### {}\n\n| gesture | paper: moving, correct |", strategy.name())?;
-            let all: Vec<_> = self
-                .results
-                .iter()
-                .filter_map(|results| Some((results.source, results.strategies.get(strategy.name())?)))
-                .collect();
-            for (source, _) in &all {
-                write!(self.text, " {source}: windows | moving | correct | correct of moving |")?;
-            }
-            write!(self.text, "\n|---|---|{}\n", "---|---|---|---|".repeat(all.len()))?;
-            for gesture in Gesture::ALL.map(Gesture::name) {
-                let said = |shares: &std::collections::BTreeMap<String, f64>| {
-                    shares.get(gesture).map_or("–".to_owned(), |share| format!("{share:.2}"))
-                };
-                write!(
-                    self.text,
-                    "| {gesture} | {}, {} |",
-                    said(&paper.moving_percent),
-                    said(&paper.correct_percent)
-                )?;
-                for (_, scores) in &all {
-                    match scores.per_gesture.get(gesture) {
-                        Some(GestureWindows {
-                            windows,
-                            moving_percent,
-                            correct_percent,
-                            correct_of_moving_percent,
-                            ..
-                        }) => write!(
-                            self.text,
-                            " {windows} | {moving_percent:.2} | {correct_percent:.2} | {correct_of_moving_percent:.2} |"
-                        )?,
-                        None => write!(self.text, " – | – | – | – |")?,
-                    }
+        Strategy::ALL.into_iter().try_for_each(|strategy| self.strategy_table(strategy))?;
+        self.strategies_compared()
+    }
+
+    /// Shares of windows by gesture, the paper's and those of each source.
+    fn strategy_table(&mut self, strategy: Strategy) -> std::fmt::Result {
+        let paper = &self.paper.strategies[strategy.name()];
+        let results = self.results;
+        let all: Vec<(&str, &StrategyScores)> = results
+            .iter()
+            .filter_map(|results| Some((results.source, results.strategies.get(strategy.name())?)))
+            .collect();
+        write!(self.text, "### {}\n\n| gesture | paper: moving, correct |", strategy.name())?;
+        for (source, _) in &all {
+            write!(self.text, " {source}: windows | moving | correct | correct of moving |")?;
+        }
+        write!(self.text, "\n|---|---|{}\n", "---|---|---|---|".repeat(all.len()))?;
+        for gesture in Gesture::ALL.map(Gesture::name) {
+            let said = |shares: &BTreeMap<String, f64>| {
+                shares.get(gesture).map_or("–".to_owned(), |share| format!("{share:.2}"))
+            };
+            let (moving, correct) = (said(&paper.moving_percent), said(&paper.correct_percent));
+            write!(self.text, "| {gesture} | {moving}, {correct} |")?;
+            for (_, scores) in &all {
+                match scores.per_gesture.get(gesture) {
+                    Some(GestureWindows {
+                        windows,
+                        moving_percent,
+                        correct_percent,
+                        correct_of_moving_percent,
+                        ..
+                    }) => write!(
+                        self.text,
+                        " {windows} | {moving_percent:.2} | {correct_percent:.2} | {correct_of_moving_percent:.2} |"
+                    )?,
+                    None => write!(self.text, " – | – | – | – |")?,
                 }
-                writeln!(self.text)?;
             }
             writeln!(self.text)?;
         }
+        writeln!(self.text)
+    }
+
+    /// What the strategies come to, side by side.
+    fn strategies_compared(&mut self) -> std::fmt::Result {
         write!(self.text, "### Compared\n\n| |")?;
         for results in self.results {
             for strategy in Strategy::ALL {
@@ -330,7 +334,7 @@ impl Report<'_> {
             }
         }
         write!(self.text, "\n|---|{}\n", "---|".repeat(3 * self.results.len()))?;
-        type Row = (&'static str, fn(&tendon_evaluation::StrategyScores) -> String);
+        type Row = (&'static str, fn(&StrategyScores) -> String);
         let rows: [Row; 7] = [
             ("mean of the gestures, correct %", |scores| format!("{:.2}", scores.mean_correct_percent)),
             ("gripper: false activations a minute", |scores| {

@@ -1,4 +1,4 @@
-//! The arm that is not there: its rules of mode and state, its motion in steps of 4 ms, its gripper.
+//! The emulated arm: its rules of mode and state, its motion in steps of 4 ms, its gripper.
 //!
 //! ```text
 //!           enable            set mode                set state 0
@@ -10,11 +10,16 @@
 //! Time is given from outside in ns, so that the same orders give the same motion. Unlike the simulated arm of
 //! `tendon-arm` it does not slow down before its limits: it runs into them and reports the error, as the real one.
 
-use nalgebra::{Matrix6, Vector3, Vector6};
-use tendon_arm::kinematics::{JOINT_SPEED_LIMIT_RAD_PER_S, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD};
+mod gripper;
+mod motion;
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector6};
 use tendon_arm::{ArmSettings, JointVector, XArm7};
-use tendon_xarm::report::{Health, Report, Setup};
-use tendon_xarm::{ArmState, Mode, StateOrder, TwistFrame};
+use tendon_xarm::report::{Health, Report};
+use tendon_xarm::{ArmState, JointLimits, Mode, StateOrder, TwistFrame};
+
+pub use self::gripper::Gripper;
+use crate::Properties;
 
 /// Length of a step, ns.
 pub const STEP_NS: u64 = 4_000_000;
@@ -29,16 +34,6 @@ pub const LINEAR_ACCELERATION_MM_PER_S2: f64 = 2000.0;
 pub const ANGULAR_ACCELERATION_RAD_PER_S2: f64 = 10.0;
 /// Greatest acceleration of a joint, rad/s².
 pub const JOINT_ACCELERATION_RAD_PER_S2: f64 = 20.0;
-/// Greatest linear speed that a command reaches, mm/s.
-const LINEAR_SPEED_LIMIT_MM_PER_S: f64 = 1000.0;
-/// Damping of the inverse Jacobian: small, so that a singularity ends in error 24.
-const DAMPING: f64 = 1e-3;
-
-/// Ends of the gripper's way, pulses.
-const GRIPPER_CLOSED_PULSES: f64 = -10.0;
-const GRIPPER_OPEN_PULSES: f64 = 850.0;
-/// Pulses/s of a gripper to which nobody gave a speed.
-const GRIPPER_SPEED_PULSES_PER_S: f64 = 1500.0;
 
 /// Error codes that the model raises by itself.
 pub mod code {
@@ -54,27 +49,15 @@ pub mod code {
     pub const BOUNDARY: u8 = 35;
 }
 
+/// Of an arm whose limits nobody knows.
+const NO_LIMITS: JointLimits = JointLimits { lower_rad: [f64::MIN; 7], upper_rad: [f64::MAX; 7] };
+
 /// What the arm is to follow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Target {
     Rest,
     Flange { twist: Vector6<f64>, frame: TwistFrame },
     Joints(JointVector),
-}
-
-/// The gripper.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gripper {
-    /// Whether its motor is on.
-    pub enabled: bool,
-    /// Where it is, pulses.
-    pub position_pulses: f64,
-    /// Where it goes, pulses.
-    pub target_pulses: f64,
-    /// How fast, pulses/s.
-    pub speed_pulses_per_s: f64,
-    /// Error code.
-    pub error: u16,
 }
 
 /// Whether an order was taken.
@@ -90,6 +73,10 @@ pub enum Taken {
 #[derive(Clone, Debug)]
 pub struct Model {
     arm: XArm7,
+    properties: Properties,
+    joint_limits: JointLimits,
+    /// From the flange to the tip of the tool, m.
+    tcp_offset_m: Isometry3<f64>,
     time_ns: u64,
     joints_rad: JointVector,
     /// Of the flange in the base frame, mm/s and rad/s, in mode 5.
@@ -98,6 +85,10 @@ pub struct Model {
     target: Target,
     /// The target is kept whatever is ordered, until the arm is stopped.
     runs_away: bool,
+    /// How fast the flange creeps along y at commanded rest, mm/s.
+    creep_mm_per_s: f64,
+    /// So many velocities are refused.
+    refused_velocities: u32,
     /// When the target becomes rest.
     deadline_ns: Option<u64>,
     settled_at_ns: u64,
@@ -117,15 +108,26 @@ pub struct Model {
 
 impl Model {
     /// An arm just switched on, at the default start posture of Tendon, with its gripper open.
-    pub fn new(now_ns: u64) -> Model {
+    pub fn new(properties: Properties, now_ns: u64) -> Model {
+        // One that no client understands moves within the wide limits of an older arm.
+        let identity = properties.identity().or_else(|| Properties::default().identity());
+        let [x, y, z, roll, pitch, yaw] = properties.setup.tcp_offset.map(f64::from);
         Model {
             arm: XArm7::new(),
+            joint_limits: identity.map_or(NO_LIMITS, |identity| identity.joint_limits()),
+            tcp_offset_m: Isometry3::from_parts(
+                Translation3::new(x * 1e-3, y * 1e-3, z * 1e-3),
+                UnitQuaternion::from_euler_angles(roll, pitch, yaw),
+            ),
+            properties,
             time_ns: now_ns,
             joints_rad: ArmSettings::default().start_joints_rad(),
             flange_velocity: Vector6::zeros(),
             joint_velocities_rad_per_s: JointVector::zeros(),
             target: Target::Rest,
             runs_away: false,
+            creep_mm_per_s: 0.0,
+            refused_velocities: 0,
             deadline_ns: None,
             settled_at_ns: now_ns,
             motors_on: [false; 7],
@@ -134,13 +136,7 @@ impl Model {
             emergency_stop_pressed: false,
             error: 0,
             warning: 0,
-            gripper: Gripper {
-                enabled: false,
-                position_pulses: GRIPPER_OPEN_PULSES,
-                target_pulses: GRIPPER_OPEN_PULSES,
-                speed_pulses_per_s: GRIPPER_SPEED_PULSES_PER_S,
-                error: 0,
-            },
+            gripper: Gripper::new(),
             reduced_speed_mm_per_s: 100.0,
             is_reduced: false,
             boundary_mm: [10_000, -10_000, 10_000, -10_000, 10_000, -10_000],
@@ -159,6 +155,11 @@ impl Model {
             self.time_ns += STEP_NS;
             self.step();
         }
+    }
+
+    /// Which arm this is.
+    pub fn properties(&self) -> &Properties {
+        &self.properties
     }
 
     /// Switches the motor of an axis (1 to 7, 8 all) on or off.
@@ -228,6 +229,10 @@ impl Model {
     }
 
     fn follow(&mut self, mode: Mode, target: Target, duration_s: Option<f32>) -> Taken {
+        if self.refused_velocities > 0 {
+            self.refused_velocities -= 1;
+            return Taken::Invalid;
+        }
         if !self.is_ready() || self.mode != mode {
             return if self.error != 0 || self.mode == mode { Taken::Yes } else { Taken::Invalid };
         }
@@ -236,7 +241,7 @@ impl Model {
         }
         self.target = target;
         self.deadline_ns = duration_s
-            .filter(|&duration_s| duration_s > 0.0)
+            .filter(|&duration_s| duration_s > 0.0 && self.properties.firmware.obeys_duration())
             .map(|duration_s| self.time_ns.saturating_add((f64::from(duration_s) * 1e9) as u64));
         Taken::Yes
     }
@@ -251,13 +256,27 @@ impl Model {
         self.runs_away = true;
     }
 
-    /// Clears the error, unless the emergency stop is still pressed.
-    pub fn clear_error(&mut self) -> Taken {
-        if self.emergency_stop_pressed {
-            return Taken::Invalid;
+    /// Makes the flange creep along y (mm/s) whenever the arm is on and at commanded rest; 0 ends it.
+    pub fn creep(&mut self, along_y_mm_per_s: f64) {
+        self.creep_mm_per_s = along_y_mm_per_s;
+    }
+
+    /// Refuses the next velocities, so many.
+    pub fn refuse_velocities(&mut self, count: u32) {
+        self.refused_velocities = count;
+    }
+
+    /// What another client does to drive the arm its own way: another mode, then running.
+    pub fn take_over(&mut self, mode: Mode) {
+        self.set_mode(mode);
+        self.set_state(StateOrder::Run);
+    }
+
+    /// Clears the error; while the emergency stop is pressed it comes back at once.
+    pub fn clear_error(&mut self) {
+        if !self.emergency_stop_pressed {
+            self.error = 0;
         }
-        self.error = 0;
-        Taken::Yes
     }
 
     /// Clears the warning.
@@ -272,8 +291,7 @@ impl Model {
         self.halt(ArmState::Stopped);
         if error == code::EMERGENCY_STOP {
             self.motors_on = [false; 7];
-            self.gripper.enabled = false;
-            self.gripper.target_pulses = self.gripper.position_pulses;
+            self.gripper.enable(false);
         }
     }
 
@@ -315,29 +333,9 @@ impl Model {
         &self.gripper
     }
 
-    /// Switches the gripper's motor.
-    pub fn enable_gripper(&mut self, on: bool) {
-        self.gripper.enabled = on;
-        if !on {
-            self.gripper.target_pulses = self.gripper.position_pulses;
-        }
-    }
-
-    /// Speed of the gripper, pulses/s.
-    pub fn set_gripper_speed(&mut self, speed_pulses_per_s: u16) {
-        self.gripper.speed_pulses_per_s = f64::from(speed_pulses_per_s.max(1));
-    }
-
-    /// Where the gripper is to go, pulses; it stays while its motor is off.
-    pub fn move_gripper(&mut self, pulses: i32) {
-        if self.gripper.enabled {
-            self.gripper.target_pulses = f64::from(pulses).clamp(GRIPPER_CLOSED_PULSES, GRIPPER_OPEN_PULSES);
-        }
-    }
-
-    /// Whether the gripper moves.
-    pub fn gripper_moves(&self) -> bool {
-        self.gripper.position_pulses != self.gripper.target_pulses
+    /// The gripper, to be told something.
+    pub fn gripper_mut(&mut self) -> &mut Gripper {
+        &mut self.gripper
     }
 
     /// Error and warning code.
@@ -354,6 +352,8 @@ impl Model {
     pub fn state(&self) -> ArmState {
         match self.stopped {
             Some(state) => state,
+            // It does not know.
+            None if self.creeps() => ArmState::Ready,
             None if self.speed_mm_per_s() > 0.0 || self.joint_velocities_rad_per_s.norm() > 0.0 => {
                 ArmState::Running
             }
@@ -383,16 +383,16 @@ impl Model {
                 error: self.error,
                 warning: self.warning,
             }),
-            setup: Some(Setup::default()),
+            setup: Some(self.properties.setup),
             forces: None,
         }
     }
 
-    /// Position of the flange in mm, then roll, pitch, yaw in rad.
+    /// Position of the tool's tip in mm, then roll, pitch, yaw in rad; without a TCP offset that of the flange.
     fn pose(&self) -> [f32; 6] {
-        let flange = self.arm.flange_pose_m(&self.joints_rad);
-        let position = flange.translation.vector * 1e3;
-        let (roll, pitch, yaw) = flange.rotation.euler_angles();
+        let tip = self.arm.flange_pose_m(&self.joints_rad) * self.tcp_offset_m;
+        let position = tip.translation.vector * 1e3;
+        let (roll, pitch, yaw) = tip.rotation.euler_angles();
         [position.x, position.y, position.z, roll, pitch, yaw].map(|value| value as f32)
     }
 
@@ -415,113 +415,22 @@ impl Model {
         self.stopped = Some(state);
     }
 
+    /// Whether it moves though it was told to rest.
+    fn creeps(&self) -> bool {
+        let is_told_to_rest = match self.target {
+            Target::Rest => true,
+            Target::Flange { twist, .. } => twist == Vector6::zeros(),
+            Target::Joints(velocities) => velocities == JointVector::zeros(),
+        };
+        self.creep_mm_per_s != 0.0 && self.is_ready() && is_told_to_rest
+    }
+
     fn is_still(&self) -> bool {
         self.target == Target::Rest
             && self.flange_velocity == Vector6::zeros()
             && self.joint_velocities_rad_per_s == JointVector::zeros()
-            && !self.gripper_moves()
-    }
-
-    fn step(&mut self) {
-        let gripper = &mut self.gripper;
-        let way = gripper.speed_pulses_per_s * STEP_S;
-        gripper.position_pulses += (gripper.target_pulses - gripper.position_pulses).clamp(-way, way);
-
-        if self.deadline_ns.is_some_and(|deadline_ns| self.time_ns >= deadline_ns) {
-            self.rest();
-        }
-        let velocities = match self.mode {
-            Mode::JointVelocity => self.ramp_joints(),
-            _ => self.ramp_flange(),
-        };
-        if velocities.amax() > JOINT_SPEED_LIMIT_RAD_PER_S {
-            self.fail(code::SPEED);
-            return;
-        }
-        let joints_rad = self.joints_rad + velocities * STEP_S;
-        let is_out = |joint: usize| {
-            (joints_rad[joint] < LOWER_LIMITS_RAD[joint] && velocities[joint] < 0.0)
-                || (joints_rad[joint] > UPPER_LIMITS_RAD[joint] && velocities[joint] > 0.0)
-        };
-        if (0..7).any(is_out) {
-            self.fail(code::JOINT_LIMIT);
-            return;
-        }
-        if self.fence_on && velocities != JointVector::zeros() && self.leaves_boundary(&joints_rad) {
-            self.fail(code::BOUNDARY);
-            return;
-        }
-        self.joints_rad = joints_rad;
-        self.joint_velocities_rad_per_s = velocities;
-    }
-
-    /// The flange velocity, nearer to its target, as joint velocities.
-    fn ramp_flange(&mut self) -> JointVector {
-        let mut target = match self.target {
-            Target::Flange { twist, frame: TwistFrame::Base } => twist,
-            Target::Flange { twist, frame: TwistFrame::Tool } => {
-                let rotation = self.arm.flange_pose_m(&self.joints_rad).rotation;
-                let linear = rotation * Vector3::new(twist[0], twist[1], twist[2]);
-                let angular = rotation * Vector3::new(twist[3], twist[4], twist[5]);
-                Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-            }
-            Target::Rest | Target::Joints(_) => Vector6::zeros(),
-        };
-        let limit_mm_per_s = match self.is_reduced {
-            true => self.reduced_speed_mm_per_s.min(LINEAR_SPEED_LIMIT_MM_PER_S),
-            false => LINEAR_SPEED_LIMIT_MM_PER_S,
-        };
-        let speed_mm_per_s = target.fixed_rows::<3>(0).norm();
-        if speed_mm_per_s > limit_mm_per_s {
-            target *= limit_mm_per_s / speed_mm_per_s;
-        }
-        for (rows, acceleration) in [(0, LINEAR_ACCELERATION_MM_PER_S2), (3, ANGULAR_ACCELERATION_RAD_PER_S2)]
-        {
-            let change = target.fixed_rows::<3>(rows) - self.flange_velocity.fixed_rows::<3>(rows);
-            let share = (acceleration * STEP_S / change.norm()).min(1.0);
-            if share < 1.0 {
-                let mut velocity = self.flange_velocity.fixed_rows_mut::<3>(rows);
-                velocity += change * share;
-            } else {
-                // To the last bit, so that rest is rest.
-                self.flange_velocity.fixed_rows_mut::<3>(rows).copy_from(&target.fixed_rows::<3>(rows));
-            }
-        }
-        let mut twist_m = self.flange_velocity;
-        twist_m.fixed_rows_mut::<3>(0).scale_mut(1e-3);
-        if twist_m == Vector6::zeros() {
-            return JointVector::zeros();
-        }
-        let jacobian = self.arm.jacobian(&self.joints_rad);
-        let damped = jacobian * jacobian.transpose() + Matrix6::identity() * (DAMPING * DAMPING);
-        match damped.cholesky() {
-            Some(factors) => jacobian.transpose() * factors.solve(&twist_m),
-            // Positive definite by the damping; were it not, standing still is safe.
-            None => JointVector::zeros(),
-        }
-    }
-
-    /// The joint velocities, nearer to their target.
-    fn ramp_joints(&self) -> JointVector {
-        let target = match self.target {
-            Target::Joints(velocities) => velocities,
-            Target::Rest | Target::Flange { .. } => JointVector::zeros(),
-        };
-        let change = JOINT_ACCELERATION_RAD_PER_S2 * STEP_S;
-        self.joint_velocities_rad_per_s.zip_map(&target, |now, target| {
-            if (target - now).abs() <= change { target } else { now + change.copysign(target - now) }
-        })
-    }
-
-    fn leaves_boundary(&self, joints_rad: &JointVector) -> bool {
-        let [now, next] = [&self.joints_rad, joints_rad]
-            .map(|joints| self.arm.flange_pose_m(joints).translation.vector * 1e3);
-        (0..3).any(|axis| {
-            let [highest, lowest] =
-                [self.boundary_mm[2 * axis], self.boundary_mm[2 * axis + 1]].map(f64::from);
-            (next[axis] > highest && next[axis] > now[axis])
-                || (next[axis] < lowest && next[axis] < now[axis])
-        })
+            && !self.gripper.moves()
+            && !self.creeps()
     }
 }
 
@@ -533,7 +442,7 @@ mod tests {
 
     /// An arm that obeys velocities of its flange, and the time.
     fn ready(mode: Mode) -> (Model, u64) {
-        let mut model = Model::new(0);
+        let mut model = Model::new(Properties::default(), 0);
         assert_eq!(model.enable(8, true), Taken::Yes);
         assert_eq!(model.set_mode(mode), Taken::Yes);
         assert_eq!(model.state(), ArmState::ConfigurationChanged);
@@ -548,7 +457,7 @@ mod tests {
 
     #[test]
     fn nothing_moves_before_it_is_enabled_and_set_running() {
-        let mut model = Model::new(0);
+        let mut model = Model::new(Properties::default(), 0);
         assert_eq!(model.set_state(StateOrder::Run), Taken::Invalid);
         model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None);
         model.advance_to(1000 * MS);
@@ -558,7 +467,7 @@ mod tests {
 
     #[test]
     fn a_command_right_after_a_change_is_swallowed() {
-        let mut model = Model::new(0);
+        let mut model = Model::new(Properties::default(), 0);
         model.enable(8, true);
         model.set_mode(Mode::CartesianVelocity);
         model.set_state(StateOrder::Run);
@@ -608,7 +517,7 @@ mod tests {
         model.advance_to(start_ns + 3000 * MS);
         assert_eq!(model.codes(), (code::JOINT_LIMIT, 0));
         assert_eq!((model.mode, model.state()), (Mode::Position, ArmState::Stopped));
-        assert!(model.joints_rad[5] <= UPPER_LIMITS_RAD[5]);
+        assert!(model.joints_rad[5] <= model.joint_limits.upper_rad[5]);
         assert_eq!(model.set_state(StateOrder::Run), Taken::Invalid);
         model.clear_error();
         model.set_mode(Mode::JointVelocity);
@@ -638,9 +547,11 @@ mod tests {
         model.advance_to(start_ns + 200 * MS);
         model.press_emergency_stop(true);
         assert_eq!((model.speed_mm_per_s(), model.codes()), (0.0, (code::EMERGENCY_STOP, 0)));
-        assert_eq!((model.clear_error(), model.enable(8, true)), (Taken::Invalid, Taken::Invalid));
+        model.clear_error();
+        assert_eq!((model.codes().0, model.enable(8, true)), (code::EMERGENCY_STOP, Taken::Invalid));
         model.press_emergency_stop(false);
-        assert_eq!((model.clear_error(), model.enable(8, true)), (Taken::Yes, Taken::Yes));
+        model.clear_error();
+        assert_eq!((model.codes().0, model.enable(8, true)), (0, Taken::Yes));
         assert!(!model.is_ready());
     }
 
@@ -656,21 +567,76 @@ mod tests {
         assert!(model.pose()[0] <= edge_mm as f32);
     }
 
+    fn played(properties: Properties) -> (Model, u64) {
+        let (ready, start_ns) = ready(Mode::CartesianVelocity);
+        let fresh = Model::new(properties, 0);
+        let Model { properties, joint_limits, tcp_offset_m, .. } = fresh;
+        (Model { properties, joint_limits, tcp_offset_m, ..ready }, start_ns)
+    }
+
     #[test]
-    fn the_gripper_takes_its_time() {
+    fn firmware_before_1_8_0_ignores_the_duration() {
+        let firmware = tendon_xarm::Firmware { major: 1, minor: 7, revision: 9 };
+        let (mut model, start_ns) = played(Properties { firmware, ..Properties::default() });
+        model.set_flange_velocity(along_x(50.0), TwistFrame::Base, Some(0.2));
+        model.advance_to(start_ns + 1000 * MS);
+        assert!((model.speed_mm_per_s() - 50.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn newer_arms_have_less_room() {
+        let reach = |serial_number: &str| {
+            let properties = Properties { serial_number: serial_number.to_owned(), ..Properties::default() };
+            let (mut model, start_ns) = played(properties);
+            model.mode = Mode::JointVelocity;
+            model.set_joint_velocities([0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], None);
+            model.advance_to(start_ns + 4000 * MS);
+            assert_eq!(model.codes().0, code::JOINT_LIMIT);
+            model.joints_rad[1]
+        };
+        let (old, new) = (reach("XI130400000000"), reach("XI130500000000"));
+        assert!((2.09..2.0944).contains(&old) && (2.02..2.0246).contains(&new), "{old} {new}");
+    }
+
+    #[test]
+    fn the_pose_is_that_of_the_tip() {
+        let setup = tendon_xarm::Setup { tcp_offset: [0.0, 0.0, 172.0, 0.0, 0.0, 0.0], ..Default::default() };
+        let (with_tool, _) = played(Properties { setup, ..Properties::default() });
+        let (without, _) = ready(Mode::CartesianVelocity);
+        // The start posture points the flange down.
+        let lower_mm = without.pose()[2] - with_tool.pose()[2];
+        assert!((lower_mm - 172.0).abs() < 0.01, "{lower_mm}");
+        assert_eq!(with_tool.report().setup, Some(setup));
+    }
+
+    #[test]
+    fn it_creeps_at_commanded_rest_until_it_is_stopped() {
         let (mut model, start_ns) = ready(Mode::CartesianVelocity);
-        model.move_gripper(0);
-        assert!(!model.gripper_moves(), "its motor is off");
-        model.enable_gripper(true);
-        model.set_gripper_speed(1000);
-        model.move_gripper(350);
+        model.creep(20.0);
+        let before = model.pose();
+        model.advance_to(start_ns + 1000 * MS);
+        assert_eq!(model.state(), ArmState::Ready);
+        assert!((model.pose()[1] - before[1] - 20.0).abs() < 0.5, "{:?}", model.pose());
+        model.set_flange_velocity(along_x(100.0), TwistFrame::Base, Some(0.2));
+        model.advance_to(start_ns + 1150 * MS);
+        assert!((model.speed_mm_per_s() - 100.0).abs() < 0.5, "it obeys meanwhile");
+        model.set_state(StateOrder::Stop);
+        model.advance_to(start_ns + 2000 * MS);
+        assert_eq!(model.speed_mm_per_s(), 0.0);
+    }
+
+    #[test]
+    fn another_client_takes_it_over() {
+        let (mut model, start_ns) = ready(Mode::CartesianVelocity);
+        model.take_over(Mode::Position);
+        model.advance_to(start_ns + 200 * MS);
+        assert_eq!((model.report().mode, model.state()), (0, ArmState::Ready));
+        assert_eq!(model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None), Taken::Invalid);
+        model.take_over(Mode::CartesianVelocity);
+        model.refuse_velocities(1);
         model.advance_to(start_ns + 400 * MS);
-        assert!(model.gripper_moves());
-        model.advance_to(start_ns + 504 * MS);
-        assert_eq!((model.gripper_moves(), model.gripper().position_pulses), (false, 350.0));
-        model.move_gripper(5000);
-        model.advance_to(start_ns + 5000 * MS);
-        assert_eq!(model.gripper().position_pulses, 850.0);
+        assert_eq!(model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None), Taken::Invalid);
+        assert_eq!(model.set_flange_velocity(along_x(100.0), TwistFrame::Base, None), Taken::Yes);
     }
 
     #[test]

@@ -1,0 +1,219 @@
+//! A configuration from its file, and with the changes of a command line.
+
+use std::path::{Path, PathBuf};
+
+use crate::{Config, ConfigError};
+
+impl Config {
+    /// Reads the configuration at `path`. Relative paths in it become absolute, from its folder.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`], naming file, line and key.
+    pub fn read(path: &Path) -> Result<Config, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let mut config = Config::parse(&text, path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        for setting in [
+            &mut config.acquisition.simulate.profile,
+            &mut config.acquisition.replay.path,
+            &mut config.inference.model,
+            &mut config.inference.rest_move_model,
+            &mut config.inference.runtime_library,
+        ] {
+            if let Some(value) = setting.as_mut() {
+                *value = folder.join(&value);
+            }
+        }
+        Ok(config)
+    }
+
+    /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`. What
+    /// is no TOML value is taken as text.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Parse`] when there is no such key or the value does not fit it.
+    pub fn with(&self, assignment: &str) -> Result<Config, ConfigError> {
+        let origin = PathBuf::from(format!("--set {assignment}"));
+        let no_assignment = || ConfigError::Parse {
+            path: origin.clone(),
+            message: "write KEY=VALUE, such as acquisition.channels=8".to_owned(),
+            suggestion: String::new(),
+        };
+        let (key, value) = assignment.split_once('=').ok_or_else(no_assignment)?;
+        let value = format!("value = {value}")
+            .parse::<toml::Table>()
+            .ok()
+            .and_then(|mut table| table.remove("value"))
+            .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+        let mut root =
+            toml::Table::try_from(self).expect("a configuration has only what TOML can say: tested");
+        let mut table = &mut root;
+        let mut keys = key.trim().split('.').peekable();
+        while let Some(key) = keys.next() {
+            if keys.peek().is_none() {
+                table.insert(key.to_owned(), value);
+                break;
+            }
+            table = table
+                .entry(key)
+                .or_insert_with(|| toml::Value::Table(toml::Table::new()))
+                .as_table_mut()
+                .ok_or_else(no_assignment)?;
+        }
+        Config::parse(&toml::to_string(&root).map_err(|_| no_assignment())?, &origin)
+    }
+
+    /// Reads a configuration from `text`; `path` is only for messages.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Parse`].
+    pub fn parse(text: &str, path: &Path) -> Result<Config, ConfigError> {
+        toml::from_str(text).map_err(|error| {
+            let message = error.to_string();
+            ConfigError::Parse { path: path.to_owned(), suggestion: suggestion(&message), message }
+        })
+    }
+
+    /// The configuration as the text of a `tendon.toml`.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a configuration has only what TOML can say: tested")
+    }
+}
+
+/// A sentence naming the known key or value nearest to the unknown one that `message` complains of. serde
+/// lists the known ones in backticks after the unknown one.
+fn suggestion(message: &str) -> String {
+    let Some(start) = message.find("unknown field").or_else(|| message.find("unknown variant")) else {
+        return String::new();
+    };
+    let mut names = message[start..].split('`').skip(1).step_by(2);
+    let Some(unknown) = names.next() else {
+        return String::new();
+    };
+    names
+        .map(|known| (strsim::damerau_levenshtein(unknown, known), known))
+        .min()
+        .filter(|(distance, known)| *distance <= 2.max(known.len() / 3))
+        .map_or_else(String::new, |(_, known)| format!("did you mean `{known}`?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use proptest::prelude::*;
+    use tendon_recordings::Channel;
+
+    use super::*;
+
+    fn parse(text: &str) -> Result<Config, String> {
+        Config::parse(text, Path::new("tendon.toml")).map_err(|error| error.to_string())
+    }
+
+    /// A configuration in which every key has a value, those too that are left out by default.
+    fn every_key() -> Config {
+        let mut config = Config::default();
+        config.acquisition.simulate.profile = Some("x".into());
+        config.acquisition.simulate.clip_at = Some(1.0);
+        config.acquisition.replay.path = Some("x".into());
+        config.acquisition.replay.sample_rate_hz = Some(1.0);
+        config.acquisition.replay.channels = Some(vec![]);
+        config.acquisition.replay.repetition = Some(0);
+        config.inference.model = Some("x".into());
+        config.inference.rest_move_model = Some("x".into());
+        config.inference.runtime_library = Some("x".into());
+        config.robot.xarm.address = Some("127.0.0.1".parse().unwrap());
+        config
+    }
+
+    /// The keys of a table with the sections that they are in: `acquisition.simulate.seed`.
+    fn keys(table: &toml::Table, section: &str) -> BTreeSet<String> {
+        let mut found = BTreeSet::new();
+        for (key, value) in table {
+            match value {
+                toml::Value::Table(table) => found.extend(keys(table, &format!("{section}{key}."))),
+                _ => drop(found.insert(format!("{section}{key}"))),
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn an_empty_file_is_the_default_and_the_default_is_valid() {
+        assert_eq!(parse("").unwrap(), Config::default());
+        Config::default().check().unwrap();
+    }
+
+    #[test]
+    fn the_documented_file_holds_every_key_at_its_default() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tendon.toml");
+        let text = std::fs::read_to_string(path).unwrap();
+        assert_eq!(parse(&text).unwrap(), Config::default());
+        // What is left out by default stands there as a comment: `# key = value`.
+        let is_key = |line: &str| {
+            let name = line.split(" = ").next().filter(|name| name.len() < line.len());
+            name.is_some_and(|name| {
+                name.bytes().all(|byte| byte.is_ascii_lowercase() || b"_0123456789".contains(&byte))
+            })
+        };
+        let uncommented: Vec<&str> = text
+            .lines()
+            .map(|line| line.strip_prefix("# ").filter(|line| is_key(line)).unwrap_or(line))
+            .collect();
+        let documented = keys(&uncommented.join("\n").parse().unwrap(), "");
+        let known = keys(&every_key().to_toml().parse().unwrap(), "");
+        assert_eq!(documented, known);
+        let without_a_seed = text.replacen("\nseed = 0 ", "\n", 1);
+        assert_ne!(keys(&without_a_seed.parse().unwrap(), "").len(), keys(&text.parse().unwrap(), "").len());
+    }
+
+    #[test]
+    fn a_configuration_reads_back_from_its_text() {
+        let mut config = every_key();
+        config.acquisition.replay.channels = Some(vec![Channel::Index(2), Channel::Name("biceps".into())]);
+        assert_eq!(parse(&config.to_toml()).unwrap(), config);
+    }
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_line_and_the_nearest_known_one() {
+        let error = parse("[acquisition]\nblock_sample = 5\n").unwrap_err();
+        for part in ["tendon.toml", "line 2", "block_sample", "did you mean `block_samples`?"] {
+            assert!(error.contains(part), "`{part}` is not in: {error}");
+        }
+    }
+
+    #[test]
+    fn one_key_is_changed_as_on_the_command_line() {
+        let config = Config::default().with("acquisition.channels=8").unwrap();
+        assert_eq!(config.acquisition.channels, 8);
+        let config = config.with("acquisition.simulate.script=rest 1s, grip 2s").unwrap();
+        assert_eq!(config.acquisition.simulate.script, "rest 1s, grip 2s");
+        assert_eq!(config.acquisition.channels, 8);
+        for (assignment, expected) in [
+            ("acquisition.chanels=8", "did you mean `channels`?"),
+            ("acquisition.channels=many", "invalid type"),
+            ("channels", "write KEY=VALUE"),
+        ] {
+            let error = config.with(assignment).unwrap_err().to_string();
+            assert!(error.contains(expected) && error.contains(assignment), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_text_of_an_error_appears_once() {
+        let error = Config::read(Path::new("/nowhere/tendon.toml")).unwrap_err();
+        let source = std::error::Error::source(&error).unwrap().to_string();
+        assert!(!error.to_string().contains(&source), "{error}");
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_makes_the_parser_panic(text in "[\\x00-\\x7f]{0,200}") {
+            let _ = parse(&text);
+        }
+    }
+}

@@ -1,0 +1,387 @@
+//! The settings, section by section, each key with its default.
+
+use std::net::IpAddr;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use tendon_arm::ArmSettings;
+use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, SimulationSettings};
+use tendon_gesture::DecisionSettings;
+use tendon_recordings::{Channel, RecordingSettings};
+use tendon_signal::SignalSettings;
+use tendon_transport::{Delivery, SessionName};
+use tendon_zones::TaskSettings;
+
+/// Channels of the 3DC armband that stand for the paper's four electrodes.
+const MODEL_CHANNELS_OF_THREE_DC: [usize; 4] = [0, 3, 5, 8];
+
+/// All settings of a session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The session's name; two sessions on one machine need two names.
+    pub session: SessionName,
+    /// Where samples come from.
+    pub acquisition: AcquisitionSettings,
+    /// Filters, activity detection and windows.
+    pub dsp: SignalSettings,
+    /// The classifier.
+    pub inference: InferenceSettings,
+    /// Strategy, vote, gripper and speed.
+    pub decision: DecisionSettings,
+    /// The arm.
+    pub robot: RobotSettings,
+    /// The target-zone task of `tendon run --task`.
+    pub task: TaskSettings,
+    /// What is asked of the kernel's scheduler.
+    pub scheduling: SchedulingSettings,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            session: "tendon".parse().expect("the name is made of letters only"),
+            acquisition: AcquisitionSettings::default(),
+            dsp: SignalSettings::default(),
+            inference: InferenceSettings::default(),
+            decision: DecisionSettings::default(),
+            robot: RobotSettings::default(),
+            task: TaskSettings::default(),
+            scheduling: SchedulingSettings::default(),
+        }
+    }
+}
+
+/// Where samples come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Source {
+    /// The simulated DAQ.
+    Simulate,
+    /// A recording.
+    Replay,
+}
+
+/// Settings of the acquisition stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AcquisitionSettings {
+    /// Where samples come from.
+    pub source: Source,
+    /// Number of channels.
+    pub channels: usize,
+    /// Sampling rate of the session in Hz; a recording of another rate is resampled.
+    pub sample_rate_hz: f64,
+    /// Samples of each channel in a block. 10 at 2000 Hz are 5 ms.
+    pub block_samples: usize,
+    /// The simulated DAQ.
+    pub simulate: SimulateSettings,
+    /// The recording to replay.
+    pub replay: ReplaySettings,
+}
+
+impl Default for AcquisitionSettings {
+    fn default() -> Self {
+        AcquisitionSettings {
+            source: Source::Simulate,
+            channels: 4,
+            sample_rate_hz: 2000.0,
+            block_samples: 10,
+            simulate: SimulateSettings::default(),
+            replay: ReplaySettings::default(),
+        }
+    }
+}
+
+/// Who says which gesture the simulated person makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Gestures {
+    /// `script`, over and over.
+    Script,
+    /// A random sequence, set by `seed`.
+    Random,
+    /// The keys pressed in `tendon run`.
+    Keyboard,
+}
+
+/// Settings of the simulated DAQ. Amplitudes are in the profile's unit (ADC counts in the default one).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SimulateSettings {
+    /// Who says which gesture is made.
+    pub gestures: Gestures,
+    /// Gestures and how long each is held: `rest 6s, extension 2s, …`. Rest comes first: the threshold
+    /// strategy calibrates on its first seconds.
+    pub script: String,
+    /// The same seed gives the same samples.
+    pub seed: u64,
+    /// A profile made by `tendon profile fit`; without one, the profile that comes with Tendon.
+    pub profile: Option<PathBuf>,
+    /// From rest to full contraction, ms.
+    pub rise_ms: f64,
+    /// From full contraction to rest, ms.
+    pub fall_ms: f64,
+    /// Frequency of the mains hum, Hz.
+    pub mains_hz: f64,
+    /// Peak amplitude of the mains hum; 0 for none.
+    pub mains_amplitude: f32,
+    /// Frequency of the baseline wander, Hz.
+    pub wander_hz: f64,
+    /// Peak amplitude of the baseline wander; 0 for none.
+    pub wander_amplitude: f32,
+    /// Constant offset of the amplifier.
+    pub offset: f32,
+    /// How often a minute, on average, one channel goes flat; 0 for never.
+    pub dropouts_per_minute: f64,
+    /// How long a channel stays flat, ms.
+    pub dropout_ms: f64,
+    /// Samples are limited to ± this value; none when left out.
+    pub clip_at: Option<f32>,
+    /// Blocks come up to this much later than they are due, at random, ms.
+    pub jitter_ms: f64,
+}
+
+impl Default for SimulateSettings {
+    fn default() -> Self {
+        let simulation = SimulationSettings::default();
+        let contraction = ContractionSettings::default();
+        SimulateSettings {
+            gestures: Gestures::Script,
+            script: DEFAULT_SCRIPT.to_owned(),
+            seed: simulation.seed,
+            profile: None,
+            rise_ms: contraction.rise_ms,
+            fall_ms: contraction.fall_ms,
+            mains_hz: simulation.mains_hz,
+            mains_amplitude: simulation.mains_amplitude,
+            wander_hz: simulation.wander_hz,
+            wander_amplitude: simulation.wander_amplitude,
+            offset: simulation.offset,
+            dropouts_per_minute: simulation.dropouts_per_minute,
+            dropout_ms: simulation.dropout_ms,
+            clip_at: simulation.clip_at,
+            jitter_ms: 0.0,
+        }
+    }
+}
+
+/// How fast a recording is replayed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pace {
+    /// As fast as it was recorded. The newest messages are kept; what a slow stage misses is counted.
+    True,
+    /// As fast as the stages can. Every message is waited for, so the outcome is the same every time.
+    Full,
+}
+
+/// Which recording is replayed, and how.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReplaySettings {
+    /// A folder of the 3DC layout, one of its files, or a plain table (CSV).
+    pub path: Option<PathBuf>,
+    /// Which channels of the recording, by number from 0 or by column name. When left out: of a 3DC recording,
+    /// the four that the models were trained on; of a table, its first columns.
+    pub channels: Option<Vec<Channel>>,
+    /// Sampling rate of a plain table, Hz.
+    pub sample_rate_hz: Option<f64>,
+    /// Of a 3DC folder, only this repetition; all in order when left out.
+    pub repetition: Option<u32>,
+    /// How fast.
+    pub pace: Pace,
+}
+
+impl Default for ReplaySettings {
+    fn default() -> Self {
+        ReplaySettings {
+            path: None,
+            channels: None,
+            sample_rate_hz: None,
+            repetition: None,
+            pace: Pace::True,
+        }
+    }
+}
+
+/// Settings of the inference stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InferenceSettings {
+    /// The ONNX model of the gestures; when left out, the one that comes with Tendon for the decision's strategy.
+    pub model: Option<PathBuf>,
+    /// The ONNX model of the two-stage strategy's first stage, rest or move; when left out, the one that comes with
+    /// Tendon.
+    pub rest_move_model: Option<PathBuf>,
+    /// ONNX Runtime's shared library; when left out, `ORT_DYLIB_PATH`, then what
+    /// `scripts/fetch-onnxruntime` put beside the programs.
+    pub runtime_library: Option<PathBuf>,
+}
+
+/// What moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Backend {
+    /// A kinematic simulation of the xArm7.
+    Simulate,
+    /// An xArm7 on the network, or `xarm-emulator`.
+    #[serde(rename = "xarm")]
+    XArm,
+}
+
+/// Where the xArm7 is, and how it gets to its start position.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct XArmSettings {
+    /// Address of its control box; 127.0.0.1 for the emulator on this machine.
+    pub address: Option<IpAddr>,
+    /// Port of the control connection.
+    pub control_port: u16,
+    /// Port of the reports that carry errors.
+    pub normal_report_port: u16,
+    /// Port of the real-time reports.
+    pub real_time_report_port: u16,
+    /// Whether it has a gripper.
+    pub gripper: bool,
+    /// Greatest speed of a joint on the way to the start position, degrees/s.
+    pub start_speed_deg_per_s: f64,
+}
+
+impl Default for XArmSettings {
+    fn default() -> Self {
+        XArmSettings {
+            address: None,
+            control_port: 502,
+            normal_report_port: 30001,
+            real_time_report_port: 30003,
+            gripper: true,
+            start_speed_deg_per_s: 10.0,
+        }
+    }
+}
+
+/// Settings of the robot stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RobotSettings {
+    /// What moves.
+    pub backend: Backend,
+    /// Limits, start position and watchdog.
+    pub arm: ArmSettings,
+    /// The arm on the network.
+    pub xarm: XArmSettings,
+}
+
+impl Default for RobotSettings {
+    fn default() -> Self {
+        RobotSettings {
+            backend: Backend::Simulate,
+            arm: ArmSettings::default(),
+            xarm: XArmSettings::default(),
+        }
+    }
+}
+
+/// Whether real-time scheduling is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Realtime {
+    /// Where the rights allow it.
+    Auto,
+    /// Or the session does not start.
+    On,
+    /// Never.
+    Off,
+}
+
+/// What is asked of the kernel's scheduler.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SchedulingSettings {
+    /// Whether real-time scheduling is used.
+    pub realtime: Realtime,
+    /// Keep all stages on one core: a hand-over then never waits for a sleeping core to wake.
+    pub one_core: bool,
+}
+
+impl Default for SchedulingSettings {
+    fn default() -> Self {
+        SchedulingSettings { realtime: Realtime::Auto, one_core: true }
+    }
+}
+
+impl Config {
+    /// Whether messages are waited for or the newest are kept.
+    pub fn delivery(&self) -> Delivery {
+        match (self.acquisition.source, self.acquisition.replay.pace) {
+            (Source::Replay, Pace::Full) => Delivery::Lossless,
+            _ => Delivery::Live,
+        }
+    }
+
+    /// Samples of all channels in a block.
+    pub fn block_length(&self) -> usize {
+        self.acquisition.channels * self.acquisition.block_samples
+    }
+
+    /// Samples of all channels in a window.
+    pub fn window_length(&self) -> usize {
+        self.acquisition.channels * self.dsp.windows.window_samples
+    }
+}
+
+impl SimulateSettings {
+    /// What the simulated amplifier needs to know.
+    pub fn simulation(&self, channels: usize, sample_rate_hz: f64) -> SimulationSettings {
+        SimulationSettings {
+            channels,
+            sample_rate_hz,
+            seed: self.seed,
+            mains_hz: self.mains_hz,
+            mains_amplitude: self.mains_amplitude,
+            wander_hz: self.wander_hz,
+            wander_amplitude: self.wander_amplitude,
+            offset: self.offset,
+            dropouts_per_minute: self.dropouts_per_minute,
+            dropout_ms: self.dropout_ms,
+            clip_at: self.clip_at,
+        }
+    }
+
+    /// How fast contractions come and go.
+    pub fn contraction(&self) -> ContractionSettings {
+        ContractionSettings { rise_ms: self.rise_ms, fall_ms: self.fall_ms }
+    }
+}
+
+impl ReplaySettings {
+    /// How the recording is read for a session of so many channels.
+    pub fn recording(&self, channels: usize) -> RecordingSettings {
+        let is_three_dc = self.path.as_deref().is_some_and(tendon_recordings::three_dc::is_three_dc);
+        let default = || match channels {
+            4 if is_three_dc => MODEL_CHANNELS_OF_THREE_DC.map(Channel::Index).to_vec(),
+            _ => (0..channels).map(Channel::Index).collect(),
+        };
+        RecordingSettings {
+            channels: self.channels.clone().unwrap_or_else(default),
+            sample_rate_hz: self.sample_rate_hz,
+            repetition: self.repetition,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_gives_its_first_columns_and_a_3dc_recording_the_models_channels() {
+        let channels = |path: &str| {
+            let replay = ReplaySettings { path: Some(path.into()), ..ReplaySettings::default() };
+            replay.recording(4).channels
+        };
+        assert_eq!(channels("emg.csv"), [0, 1, 2, 3].map(Channel::Index));
+        assert_eq!(channels("EMG/3dc_EMG_gesture_0_1.txt"), [0, 3, 5, 8].map(Channel::Index));
+    }
+}

@@ -1,0 +1,309 @@
+//! Scores a model on windows: those of a data set, or those cut from recordings in passing.
+//!
+//! ```text
+//! data set ──▶ windows ──┐
+//!                        ├─▶ model ─▶ tally ─▶ Scores
+//! recordings ─▶ cut ─────┘
+//! ```
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::Serialize;
+use tendon_classifier::{Classifier, ClassifierError, Contract, WindowSource};
+use tendon_dataset::{
+    Cut, DatasetSettings, ListingError, Recording, StoredDataset, StoredDatasetError, cut, list,
+};
+use tendon_gesture::Gesture;
+use tendon_recordings::{Channel, RecordingError};
+use tendon_signal::WindowSettings;
+
+use crate::evaluation::Evaluation;
+use crate::people::{PeopleError, chosen_people};
+use crate::sequence::Sequence;
+use crate::tally::{Answer, Origin, Tally};
+
+/// Scores of a model, and what they are of.
+#[derive(Debug, Serialize)]
+pub struct Scores {
+    /// The ONNX file.
+    pub model: String,
+    /// A data set, or recordings.
+    pub paths: Vec<String>,
+    /// Who was scored.
+    pub people: BTreeSet<u16>,
+    /// What the model's training got on its validation windows, if the model says so.
+    pub validation_accuracy: Option<f64>,
+    /// Recordings that could not be used, and why.
+    pub skipped: Vec<String>,
+    /// Time from the first byte to the last class, s.
+    pub duration_s: f64,
+    /// Seconds of signal for every second: of recordings, all that was read, windows or not; of a data set, an
+    /// increment for every window.
+    pub x_real_time: f64,
+    /// The scores.
+    #[serde(flatten)]
+    pub evaluation: Evaluation,
+}
+
+/// Why a model cannot be scored.
+#[derive(Debug, thiserror::Error)]
+pub enum ScoreError {
+    /// The model does not fit the windows.
+    #[error(transparent)]
+    Model(ClassifierError),
+    /// The data set cannot be read.
+    #[error(transparent)]
+    Dataset(#[from] StoredDatasetError),
+    /// There are no recordings to score on.
+    #[error(transparent)]
+    Listing(#[from] ListingError),
+    /// The people asked for cannot be scored.
+    #[error(transparent)]
+    People(#[from] PeopleError),
+    /// Not a single window of what the model knows.
+    #[error("{}: no window of what the model knows ({classes}){reasons}", .path.display())]
+    NoWindows {
+        /// The data set, or the first of the recordings.
+        path: PathBuf,
+        /// What the model knows.
+        classes: String,
+        /// Why recordings were left out, as the end of a sentence; empty if none was.
+        reasons: String,
+    },
+    /// The model failed on a window.
+    #[error("{place}: {error}")]
+    Window {
+        /// Which window, or the recording it is of.
+        place: String,
+        /// What the model's runtime says.
+        error: ClassifierError,
+    },
+}
+
+impl ScoreError {
+    /// Whether what was given cannot be scored, rather than that the scoring broke off.
+    pub fn is_bad_input(&self) -> bool {
+        !matches!(self, ScoreError::Window { .. })
+    }
+}
+
+/// How far a scoring has come: this many of so many.
+pub type OnProgress<'a> = dyn FnMut(usize, usize) + 'a;
+
+/// Windows between two reports of progress, and between two looks at memory that is no longer needed.
+const WINDOWS_A_ROUND: usize = 256;
+
+/// Scores `classifier` on the data set in `folder`. `wanted` are the people to score; when empty, all whom the model
+/// was not trained on. `on_progress` counts windows.
+///
+/// # Errors
+/// When the data set cannot be read, does not fit the model, or holds nothing for it.
+pub fn score_dataset(
+    classifier: Classifier,
+    folder: &Path,
+    wanted: &[u16],
+    on_progress: &mut OnProgress<'_>,
+) -> Result<(Scores, Tally), ScoreError> {
+    let mut dataset = StoredDataset::open(folder)?;
+    let settings = dataset.manifest().settings.clone();
+    let source = WindowSource {
+        name: "the data set",
+        channels: settings.channels.len(),
+        sample_rate_hz: settings.sample_rate_hz,
+        window_samples: settings.windows.window_samples,
+        sequence_windows: usize::MAX,
+        filter: settings.filter.as_ref(),
+        input: settings.input,
+    };
+    classifier.check_fit(&source).map_err(ScoreError::Model)?;
+    let known = dataset.manifest().windows_per_person.keys().copied().collect();
+    let people = chosen_people(&known, wanted, &people_trained(&classifier))?;
+    let mut scorer = Scorer::new(classifier, people);
+    let windows = dataset.len();
+    for index in 0..windows {
+        if index % WINDOWS_A_ROUND == 0 {
+            dataset.release_before(index);
+            on_progress(index, windows);
+        }
+        let window = Window {
+            samples: dataset.window(index),
+            gesture: dataset.gesture(index),
+            person: dataset.person(index),
+            repetition: dataset.repetition(index),
+            trial: u64::from(dataset.recording(index)),
+        };
+        scorer
+            .take(&window)
+            .map_err(|error| ScoreError::Window { place: format!("window {index}"), error })?;
+    }
+    let increments = scorer.tally.confusion().windows() * settings.windows.increment_samples as u64;
+    scorer.finish(vec![folder.to_owned()], increments as f64 / settings.sample_rate_hz, Vec::new())
+}
+
+/// Scores `classifier` on the windows that are cut from the recordings at or below `paths`, whose `channels` it is
+/// given. `wanted` as for [`score_dataset`]; `on_progress` counts recordings.
+///
+/// # Errors
+/// When there are no recordings, or none of what the model knows.
+pub fn score_recordings(
+    classifier: Classifier,
+    paths: &[PathBuf],
+    channels: &[usize],
+    wanted: &[u16],
+    on_progress: &mut OnProgress<'_>,
+) -> Result<(Scores, Tally), ScoreError> {
+    let settings = settings_of(classifier.contract(), channels);
+    let source = WindowSource {
+        name: "--channels",
+        channels: channels.len(),
+        sample_rate_hz: settings.sample_rate_hz,
+        window_samples: settings.windows.window_samples,
+        sequence_windows: usize::MAX,
+        filter: None,
+        input: settings.input,
+    };
+    classifier.check_fit(&source).map_err(ScoreError::Model)?;
+    let found = list(&settings, paths)?;
+    let known = found.recordings.iter().map(|recording| recording.person).collect();
+    let people = chosen_people(&known, wanted, &people_trained(&classifier))?;
+    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let recordings: Vec<Recording> =
+        found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
+    let mut scorer = Scorer::new(classifier, people);
+    let mut samples = 0;
+    let mut trials_before = 0;
+    for (index, recording) in recordings.iter().enumerate() {
+        on_progress(index, recordings.len());
+        match scorer.take_recording(&settings, recording, trials_before)? {
+            Ok(cut) => {
+                trials_before += cut.trials.len() as u64;
+                samples += cut.samples;
+                skipped.extend(cut.skipped.iter().map(ToString::to_string));
+            }
+            Err(error) => skipped.push(error.to_string()),
+        }
+    }
+    scorer.finish(paths.to_vec(), samples as f64 / settings.sample_rate_hz, skipped)
+}
+
+/// How recordings are cut for a model: as `tendon dataset build` does by default, with the model's filter, rate and
+/// window.
+fn settings_of(contract: &Contract, channels: &[usize]) -> DatasetSettings {
+    DatasetSettings {
+        channels: channels.iter().copied().map(Channel::Index).collect(),
+        sample_rate_hz: contract.sample_rate_hz,
+        filter: Some(contract.filter.clone()),
+        input: contract.input,
+        windows: WindowSettings {
+            window_samples: contract.window_samples,
+            increment_samples: (contract.window_samples / 4).max(1),
+        },
+        ..DatasetSettings::default()
+    }
+}
+
+fn people_trained(classifier: &Classifier) -> BTreeSet<u16> {
+    classifier.contract().people_trained.iter().copied().collect()
+}
+
+/// A window to be scored.
+struct Window<'a> {
+    /// Channel-major `[channels × samples]`.
+    samples: &'a [f32],
+    gesture: Gesture,
+    person: u16,
+    repetition: u8,
+    /// What tells windows of one trial from those of the next.
+    trial: u64,
+}
+
+/// A model being scored, window by window.
+struct Scorer {
+    classifier: Classifier,
+    people: BTreeSet<u16>,
+    tally: Tally,
+    sequence: Sequence,
+    start: Instant,
+}
+
+impl Scorer {
+    fn new(classifier: Classifier, people: BTreeSet<u16>) -> Scorer {
+        let Contract { channels, window_samples, sequence_windows, ref classes, .. } = *classifier.contract();
+        let tally = Tally::new(classes);
+        let sequence = Sequence::new(sequence_windows, channels * window_samples);
+        Scorer { sequence, classifier, people, tally, start: Instant::now() }
+    }
+
+    fn take(&mut self, window: &Window<'_>) -> Result<(), ClassifierError> {
+        if !self.people.contains(&window.person) {
+            return Ok(());
+        }
+        let Some(truth) = self.tally.class_of(window.gesture) else { return Ok(()) };
+        let start = Instant::now();
+        let Some(input) = self.sequence.push(window.trial, window.samples) else { return Ok(()) };
+        let probabilities = self.classifier.classify(input)?;
+        let work_ns = start.elapsed().as_nanos() as u64;
+        let origin = Origin { person: window.person, repetition: window.repetition };
+        self.tally.record(truth, origin, Answer { probabilities, work_ns });
+        Ok(())
+    }
+
+    /// Takes all windows of a recording; one that cannot be read to its end counts for nothing.
+    fn take_recording(
+        &mut self,
+        settings: &DatasetSettings,
+        recording: &Recording,
+        trials_before: u64,
+    ) -> Result<Result<Cut, RecordingError>, ScoreError> {
+        let before = self.tally.clone();
+        let mut result = Ok(());
+        let cut = cut(settings, recording, &mut |window| {
+            if result.is_ok() {
+                result = self.take(&Window {
+                    samples: window.samples,
+                    gesture: window.gesture,
+                    person: window.person,
+                    repetition: window.repetition,
+                    trial: trials_before + window.trial as u64,
+                });
+            }
+        });
+        let place = || recording.path.display().to_string();
+        result.map_err(|error| ScoreError::Window { place: place(), error })?;
+        if cut.is_err() {
+            self.tally = before;
+        }
+        Ok(cut)
+    }
+
+    fn finish(
+        self,
+        paths: Vec<PathBuf>,
+        signal_s: f64,
+        skipped: Vec<String>,
+    ) -> Result<(Scores, Tally), ScoreError> {
+        let duration_s = self.start.elapsed().as_secs_f64();
+        let evaluation = Evaluation::of(&self.tally);
+        if evaluation.windows == 0 {
+            let reasons = match &skipped[..] {
+                [] => String::new(),
+                [first, ..] => format!("; {} left out, the first because: {first}", skipped.len()),
+            };
+            let path = paths.into_iter().next().unwrap_or_default();
+            return Err(ScoreError::NoWindows { path, classes: evaluation.classes.join(", "), reasons });
+        }
+        let scores = Scores {
+            model: self.classifier.path().display().to_string(),
+            paths: paths.iter().map(|path| path.display().to_string()).collect(),
+            people: self.people,
+            validation_accuracy: self.classifier.contract().validation_accuracy,
+            skipped,
+            duration_s,
+            x_real_time: signal_s / duration_s,
+            evaluation,
+        };
+        Ok((scores, self.tally))
+    }
+}
