@@ -20,10 +20,9 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tendon_gesture::Gesture;
 use tendon_messages::{Permission, STATES, Stage, StateHeader, StopReason};
-use tendon_paths::runtime_folder;
 use tendon_system_tests::{Ended, Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until};
 use tendon_transport::{Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber};
-use tendon_xarm_emulator::{Emulator, Fault, Listen, SERIAL_NUMBER};
+use tendon_xarm_emulator::{Emulator, Fault, Listen};
 
 /// How long a stop may take on a machine that runs other tests at the same time.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -66,7 +65,8 @@ impl EmulatedArm {
     fn record(&self) -> PathBuf {
         let Listen { address, control_port, .. } = self.emulator.listen;
         let address = address.to_string().replace('.', "-");
-        self.state_home.path().join(format!("tendon/arms/{SERIAL_NUMBER}-{address}-{control_port}.json"))
+        let serial_number = self.model().properties().serial_number.clone();
+        self.state_home.path().join(format!("tendon/arms/{serial_number}-{address}-{control_port}.json"))
     }
 }
 
