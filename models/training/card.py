@@ -12,11 +12,11 @@ OZDEMIR = "Ozdemir data set (Ozdemir et al. 2022): forearm EMG of four channels,
 OZDEMIR_CREDIT = """The data set of hand gestures by Ozdemir, M. A., Kisa, D. H., Guren, O., Akan, A. (Mendeley Data, ckwc76xr2z, 2022),
 CC BY."""
 OWN = "Recordings of your own, in their own unit."
-OWN_CREDIT = "Those who made the recordings, and those who let themselves be recorded."
+OWN_CREDIT = "Those who made the recordings, and the people who were recorded."
 
 
 def source(manifest: dict) -> tuple[str, str, str]:
-    """What the recordings are, their unit, and who has the credit: told by the names of their files."""
+    """What the recordings are, their unit, and whom to credit, derived from the names of their files."""
     names = [Path(entry["file"]).name.lower() for entry in manifest.get("recordings", [])]
     if names and all(name.startswith("3dc_emg_gesture_") for name in names):
         return THREE_DC, "ADC counts", THREE_DC_CREDIT
@@ -47,9 +47,9 @@ def write_card(
     people: np.ndarray,
     parity: float,
 ) -> None:
-    """The model card beside OUT, and on the terminal; true and predicted classes and people are those of the test."""
+    """Writes the model card beside OUT and prints it; `truth`, `predicted` and `people` are those of the test windows."""
     classes = len(names)
-    # One row a true class, one column a predicted class.
+    # One row per true class, one column per predicted class.
     confusion = np.bincount(truth * classes + predicted, minlength=classes**2).reshape(classes, classes)
     with np.errstate(invalid="ignore"):
         precision = confusion.diagonal() / confusion.sum(0)
@@ -67,7 +67,7 @@ def write_card(
     paper = PAPER_ACCURACY.get((network, classes)) if "move" not in names and "raw" == recipe["input"] else None
     yardstick = (
         f"\n- The paper's accuracy ({paper}, Ozdemir data set, 35 people trained, five held out) was reached on other"
-        " data and is\n  no yardstick for this number."
+        " data and\n  cannot be compared with this number."
         if paper
         else ""
     )
@@ -89,18 +89,18 @@ Accuracy **{confusion.trace() / confusion.sum():.4f}** over {confusion.sum()} ex
 
 {table(["class", "precision", "recall", "F1", "examples"], scores)}
 
-Confusion matrix, one row a true class, one column a predicted class:
+Confusion matrix, one row per true class, one column per predicted class:
 
 {table(["", *names], counts)}
 
 {table(["person", "accuracy", "examples"], by_person)}
 
 ## Limits
-- Validation windows overlap training windows of the same people (the split of the paper), so the validation
-  accuracy says nothing about a new person; the test accuracy does. Expect it to vary greatly between people.
-- Rest windows come from recordings of rest only; letting go of a gesture is in no class.
-- Amplitudes are those of one kind of amplifier, in {unit}: another one needs a model trained on its own unit.
-- All windows of a file carry its label after onset detection, so some labels are wrong, mostly where a person
+- Validation windows overlap training windows of the same people (the paper's split), so the validation accuracy says
+  nothing about a new person. The test accuracy does. Expect it to vary greatly between people.
+- Rest windows come from recordings of rest only. No class covers the moment of letting go of a gesture.
+- Amplitudes are those of one kind of amplifier, in {unit}. Another one needs a model trained on its own unit.
+- After onset detection, all windows of a file carry its label. Some labels are therefore wrong, mostly where a person
   moved late or let go early.{yardstick}
 
 PyTorch and ONNX Runtime differ by at most {parity:.1e} in a probability.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 GESTURES = ["rest", "extension", "flexion", "ulnar", "radial", "grip"]
-# Names of the paper's class sets; any other set is given by the names of its gestures.
+# The paper's sets of classes, by name; any other set is given by the names of its gestures.
 CLASS_SETS = {
     "six": GESTURES,
     "five": GESTURES[1:],
@@ -21,16 +21,16 @@ CLASS_SETS = {
 # Windows of a sequence for the LSTM (paper section "Classification Models").
 SEQUENCE_WINDOWS = 5
 TRAINING, VALIDATION, TEST = 0, 1, 2
-# What the paper's recordings were filtered with: for a data set of recordings that were filtered before.
+# The filter of the paper's recordings, for a data set of recordings that came filtered.
 PAPER_FILTER = {"notch_hz": 50.0, "notch_quality": 30.0, "band_pass_hz": [5.0, 500.0], "band_pass_order": 6}
 
 
 def class_names(given: str) -> list[str]:
-    """The classes of a set's name, or of gestures separated by commas; ValueError if there are none such."""
+    """The classes of a named set, or of gestures separated by commas; ValueError if one is unknown."""
     names = CLASS_SETS.get(given) or given.split(",")
     for name in names:
         if name not in GESTURES and names != CLASS_SETS["rest-move"]:
-            raise ValueError(f"`{name}` is no gesture: take {', '.join(CLASS_SETS)}, or two or more of {', '.join(GESTURES)}")
+            raise ValueError(f"`{name}` is not a gesture: use {', '.join(CLASS_SETS)}, or two or more of {', '.join(GESTURES)}")
     if len(set(names)) < 2 or len(set(names)) != len(names):
         raise ValueError(f"`{given}`: a classifier needs two or more different classes")
     return names
@@ -39,13 +39,13 @@ def class_names(given: str) -> list[str]:
 class Dataset:
     """Examples [n, channels, samples], or sequences of windows [n, windows, channels, samples], and their classes.
 
-    An example is known by its newest window: that window's class, person and split are the example's.
+    An example is identified by its newest window, which also gives its class, person and split.
     """
 
     def __init__(self, folder: Path, classes: list[str], sequence_windows: int):
         manifest = folder / "manifest.json"
         if not manifest.is_file():
-            raise SystemExit(f"{folder}: holds no complete data set; make one with `tendon dataset build`")
+            raise SystemExit(f"{folder}: contains no complete data set; build one with `tendon dataset build`")
         self.manifest = json.loads(manifest.read_text())
         self.settings = self.manifest["settings"]
         self.settings["filter"] = self.settings["filter"] or PAPER_FILTER
@@ -78,11 +78,11 @@ class Dataset:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of one example, as the network takes it."""
+        """Shape of one example, as the network expects it."""
         return self.windows.shape[1:] if self.sequence_windows == 1 else (self.sequence_windows, *self.windows.shape[1:])
 
     def examples(self, newest: np.ndarray) -> np.ndarray:
-        """The examples whose newest windows are given."""
+        """The examples with these newest windows."""
         if self.sequence_windows == 1:
             return self.windows[newest]
         return self.windows[newest[:, None] + np.arange(1 - self.sequence_windows, 1)]

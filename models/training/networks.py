@@ -1,10 +1,11 @@
-"""The networks of the paper (section "Classification Models"), and how they become ONNX graphs.
+"""The networks of the paper (section "Classification Models"), and their export as ONNX graphs.
 
     window   [batch, channels, samples]           ─▶ z-score ─▶ three blocks of convolution ─▶ head ─▶ logits
-    sequence [batch, windows, channels, samples]  ─▶ z-score ─▶ LSTM, a step a window       ─▶ head ─▶ logits
+    sequence [batch, windows, channels, samples]  ─▶ z-score ─▶ LSTM, one step per window   ─▶ head ─▶ logits
 
-The graphs are written node by node. A 1D convolution is said as a 2D one of height 1, because ONNX Runtime has its fast
-(NCHWc) kernels for those only: a window then takes half the time. PyTorch trains twice as fast that way, too.
+The graphs are written node by node. A 1D convolution is written as a 2D convolution of height 1, because ONNX
+Runtime has fast (NCHWc) kernels only for the 2D form: a window then takes half the time. PyTorch trains twice as fast
+that way, too.
 """
 
 from pathlib import Path
@@ -30,7 +31,7 @@ class GestureCnn(nn.Module):
         self.register_buffer("std", std.reshape(1, channels, 1))
 
         def block(inputs: int, outputs: int, kernel: int) -> nn.Sequential:
-            # The paper has ReLU before the pooling: the maximum of both is the same, and half is left to do here.
+            # The paper applies ReLU before the pooling. The result is the same, at half the work.
             return nn.Sequential(
                 nn.Conv2d(inputs, outputs, (1, kernel), padding=(0, kernel // 2)),
                 nn.BatchNorm2d(outputs),
@@ -87,10 +88,10 @@ class GestureLstm(nn.Module):
     def add_to(self, graph: "Graph") -> None:
         windows = graph.shape[0]
         x = graph.normalised("window", self.mean, self.std)
-        # Steps first, then the batch of one.
+        # Steps come first, then the batch of one.
         shape = graph.constant("steps_shape", np.array([windows, 1, self.lstm.input_size]))
         x = graph.node("Reshape", [x, shape], "steps")
-        # PyTorch has the gates in the order input, forget, cell, output; ONNX has input, output, forget, cell.
+        # PyTorch orders the gates input, forget, cell, output; ONNX orders them input, output, forget, cell.
         order = [0, 3, 1, 2]
 
         def gates(weight: torch.Tensor) -> torch.Tensor:

@@ -6,16 +6,16 @@
     scripts/train --dataset DIR --classes six --network lstm --out lstm.onnx
     scripts/train --smoke
 
-DIR is what `tendon dataset build --test-people P,…` wrote: windows that went through the same filters, onset detection
-and windowing as the live pipeline. It says which windows are for training, validation and test; the people of the test
-are never seen in training, and the epoch with the best validation accuracy is the one exported. A model of envelopes
-(`--input envelope` there) or an LSTM can be evaluated, but not run live.
+DIR is the output of `tendon dataset build --test-people P,…`: windows that went through the same filters, onset detection
+and windowing as the live pipeline. The data set says which windows are for training, validation and test. The test people
+are never seen in training. The epoch with the best validation accuracy is exported. A model of envelopes
+(`dataset build --input envelope`) or an LSTM can be evaluated, but not run live.
 
-Beside OUT this writes OUT with the ending .md, the model card, and prints the same numbers. A training that was
-interrupted goes on where it was when the same command is given again (OUT with the ending .checkpoint).
+Beside OUT this writes the model card (OUT with the ending .md) and prints the same numbers. An interrupted training
+continues where it was when the same command is given again (OUT with the ending .checkpoint).
 
-With --smoke it trains a tiny run on windows made here, to see that everything works: training, going on after an
-interruption, export, parity with ONNX Runtime. Nothing of it is kept.
+--smoke trains a tiny model on generated windows to check that everything works: training, resuming after an
+interruption, export, parity with ONNX Runtime. It keeps nothing.
 """
 
 import argparse
@@ -39,7 +39,7 @@ BATCH = 128
 LEARNING_RATE = 1e-3
 WEIGHT_DECAY = 1e-4
 PARITY_TOLERANCE = 1e-4
-# Of --smoke: windows of each gesture and person, epochs, and the test accuracy that shows that it learned.
+# For --smoke: windows per gesture and person, epochs, and the test accuracy that proves that it learned.
 SMOKE_WINDOWS = 120
 SMOKE_EPOCHS = 4
 SMOKE_ACCURACY = 0.9
@@ -55,20 +55,20 @@ def predict(model: nn.Module, dataset: Dataset, newest: np.ndarray, device: torc
 
 
 def show_progress(text: str) -> None:
-    """A line that the next one replaces, for the person who waits."""
+    """A progress line that the next one replaces."""
     if sys.stderr.isatty():
         print(f"\r{text}\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 def train(model: nn.Module, dataset: Dataset, arguments, device: torch.device, stop_after: int | None = None):
-    """Trains `model` to that of the epoch with the best validation accuracy; returns the accuracy and the epoch.
+    """Trains `model` and keeps the epoch with the best validation accuracy; returns that accuracy and epoch.
 
-    Every epoch has its own random numbers, so a training that goes on from a checkpoint ends as one without a break.
-    `stop_after` epochs it leaves off, as if interrupted.
+    Every epoch has its own random numbers, so a training resumed from a checkpoint ends the same as one without a
+    break. After `stop_after` epochs it stops, as if interrupted.
     """
     optimiser = torch.optim.Adam(model.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     criterion = nn.CrossEntropyLoss()
-    # What a checkpoint must have been made with to go on from it.
+    # A training resumes only from a checkpoint that was made with the same.
     made_with = {
         "settings": dataset.settings,
         "windows": [len(dataset.training), len(dataset.validation), len(dataset.test)],
@@ -87,9 +87,9 @@ def train(model: nn.Module, dataset: Dataset, arguments, device: torch.device, s
             model.load_state_dict(kept["model"])
             optimiser.load_state_dict(kept["optimiser"])
             best, first_epoch = kept["best"], kept["epoch"] + 1
-            print(f"{checkpoint}: goes on after epoch {kept['epoch']}", flush=True)
+            print(f"{checkpoint}: resuming after epoch {kept['epoch']}", flush=True)
         else:
-            print(f"{checkpoint}: is of another training; beginning anew", flush=True)
+            print(f"{checkpoint}: belongs to another training; starting over", flush=True)
     for epoch in range(first_epoch, arguments.epochs + 1):
         started = time.monotonic()
         torch.manual_seed(arguments.seed * 10_000 + epoch)
@@ -101,7 +101,7 @@ def train(model: nn.Module, dataset: Dataset, arguments, device: torch.device, s
             examples = torch.from_numpy(dataset.examples(batch)).to(device)
             labels = torch.from_numpy(dataset.labels[batch]).to(device)
             optimiser.zero_grad()
-            # Half the time of float32 on processors that have it; weights and validation stay float32.
+            # Half the time of float32 on processors that support it; weights and validation stay float32.
             with torch.autocast(device.type, torch.bfloat16, enabled=model.name == "cnn"):
                 logits = model(examples)
             loss = criterion(logits.float(), labels)
@@ -141,7 +141,7 @@ def check_parity(model: nn.Module, examples: np.ndarray, out: Path) -> float:
 
 
 def write_smoke_dataset(folder: Path) -> None:
-    """A data set like those of `tendon dataset build`: three people, six gestures told apart by their amplitudes."""
+    """A data set like those of `tendon dataset build`: three people, six gestures that differ in their amplitudes."""
     rng = np.random.default_rng(0)
     labels = np.repeat(np.tile(np.arange(6, dtype=np.uint8), 3), SMOKE_WINDOWS)
     people = np.repeat(np.array([1, 2, 3], dtype=np.uint16), 6 * SMOKE_WINDOWS)
@@ -171,7 +171,7 @@ def write_smoke_dataset(folder: Path) -> None:
 
 
 def smoke(arguments) -> None:
-    """Both networks, the first with an interruption."""
+    """Trains both networks, the first with an interruption."""
     with tempfile.TemporaryDirectory() as folder:
         arguments.dataset = Path(folder)
         write_smoke_dataset(arguments.dataset)
@@ -188,15 +188,15 @@ def smoke(arguments) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--smoke", action="store_true", help="a tiny run on made-up windows, to see that it works")
+    parser.add_argument("--smoke", action="store_true", help="a tiny run on generated windows, to check that everything works")
     parser.add_argument("--dataset", type=Path, help="folder that `tendon dataset build --test-people` wrote")
     sets = ", ".join(CLASS_SETS)
-    parser.add_argument("--classes", help=f"{sets}, or names of gestures with commas: {','.join(GESTURES[1:3])}")
+    parser.add_argument("--classes", help=f"{sets}, or names of gestures: {','.join(GESTURES[1:3])}")
     parser.add_argument("--network", choices=NETWORKS, default="cnn", help="default: %(default)s")
-    parser.add_argument("--out", type=Path, help="the .onnx file to write; its card goes beside")
+    parser.add_argument("--out", type=Path, help="the .onnx file to write; its card goes beside it")
     parser.add_argument("--epochs", type=int, default=30, help="default: %(default)s, the paper's")
-    parser.add_argument("--seed", type=int, default=0, help="of the first weights and of the order (default: %(default)s)")
-    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto", help="default: CUDA if there is any")
+    parser.add_argument("--seed", type=int, default=0, help="of the initial weights and the order of the windows (default: %(default)s)")
+    parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto", help="default: CUDA if available")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads; default: %(default)s")
     arguments = parser.parse_args()
     if arguments.smoke:
@@ -204,7 +204,7 @@ def main() -> None:
         return
     for name in ("dataset", "classes", "out"):
         if getattr(arguments, name) is None:
-            parser.error(f"--{name} is missing (or take --smoke)")
+            parser.error(f"--{name} is missing (or use --smoke)")
     try:
         class_names(arguments.classes)
     except ValueError as error:
@@ -215,7 +215,7 @@ def main() -> None:
 def run(arguments, stop_after: int | None = None) -> float:
     """Trains, exports and checks; returns the accuracy on the people held out."""
     torch.set_num_threads(arguments.threads)
-    # Gates that are shut make numbers so small that processors crawl.
+    # Closed gates produce numbers so small that processors slow down.
     torch.set_flush_denormal(True)
     torch.manual_seed(arguments.seed)
     is_cuda = arguments.device == "cuda" or arguments.device == "auto" and torch.cuda.is_available()

@@ -7,12 +7,15 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use tendon_dataset::{BuildSettings, DatasetSettings, Manifest, OnsetStatistics, SplitEntry};
+use tendon_output::OutputFolder;
+use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
 use crate::output::{print, tell};
 use crate::progress::Progress;
+use crate::provenance::PROGRAM;
 
 /// Commands of `tendon dataset`.
 #[derive(Debug, Subcommand)]
@@ -145,14 +148,23 @@ impl BuildProgress {
     }
 }
 
+/// What the data set is made from. Its settings stand in the manifest itself.
+fn provenance(options: &BuildOptions) -> anyhow::Result<Provenance> {
+    let configuration = serde_json::json!({ "test_people": options.test_people, "seed": options.seed });
+    let begun = Provenance::begin(PROGRAM).with_configuration(&configuration)?;
+    Ok(begun.with_recording(&options.recordings)?)
+}
+
 /// Builds a data set.
 pub fn build(options: &BuildOptions) -> Result<(), Failure> {
     let start = Instant::now();
     let default = BuildSettings::default();
+    OutputFolder::check(&options.out).map_err(Failure::input)?;
     let building = BuildSettings {
         test_people: options.test_people.clone(),
         seed: options.seed,
         threads: options.threads.map_or(default.threads, usize::from),
+        provenance: provenance(options).map_err(Failure::input)?,
     };
     let mut progress = BuildProgress::default();
     let mut show = |step: tendon_dataset::Progress<'_>| {

@@ -3,15 +3,18 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use serde::Serialize;
 use tendon_classifier::Classifier;
 use tendon_dataset::StoredDataset;
 use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
 use tendon_figures::write_score_figures;
+use tendon_output::{OutputFolder, collect};
+use tendon_provenance::Provenance;
 
 use crate::Failure;
-use crate::output::print;
+use crate::output::{checked, print};
 use crate::progress::Works;
-use crate::run::write_json;
+use crate::provenance::PROGRAM;
 
 /// Command line of `tendon evaluate`.
 #[derive(Debug, Args)]
@@ -41,12 +44,24 @@ pub struct Options {
     figures: Option<PathBuf>,
 }
 
+/// What `--json` writes.
+#[derive(Debug, Serialize)]
+struct ScoresWithProvenance<'a> {
+    #[serde(flatten)]
+    scores: &'a Scores,
+    provenance: Provenance,
+}
+
 /// Evaluates a model.
 pub fn evaluate(options: &Options) -> Result<(), Failure> {
+    let json = checked(options.json.as_deref())?;
+    let figures = options.figures.as_deref().map(OutputFolder::check).transpose().map_err(Failure::input)?;
+    let begun = Provenance::begin(PROGRAM);
     let library =
         tendon_classifier::runtime_library(options.runtime_library.as_deref()).map_err(Failure::input)?;
     let classifier = Classifier::load(&library, &options.model).map_err(Failure::input)?;
-    let provenance = classifier.contract().provenance.clone();
+    let trained = classifier.contract().provenance.clone();
+    let people_trained = classifier.contract().people_trained.clone();
     let mut works = Works::default();
     let scored = match &options.paths[..] {
         [folder] if StoredDataset::is_one(folder) => {
@@ -60,25 +75,44 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     };
     works.clear();
     let (scores, tally) = scored.map_err(failure)?;
+    let is_trained_on = scores.people.iter().any(|person| people_trained.contains(person));
+    let provenance = Provenance {
+        trained_on_person: (!people_trained.is_empty()).then_some(is_trained_on),
+        ..provenance(options, begun).map_err(Failure::running)?
+    };
     // Neither a full disk nor a closed output keeps the others from being written.
-    let json = options.json.as_deref().map_or(Ok(()), |path| write_json(path, &scores));
-    let figures = options
-        .figures
-        .as_deref()
-        .map_or(Ok(()), |folder| write_score_figures(folder, &options.model, &tally));
-    let printed = print(text(options, &scores, provenance.as_deref()));
-    json.and(figures.map_err(anyhow::Error::from)).and(printed).map_err(Failure::running)
+    let content = ScoresWithProvenance { scores: &scores, provenance };
+    let json = json.iter().map(|file| file.write_json(&content));
+    let drawn = figures.iter().flat_map(|folder| write_score_figures(folder, &options.model, &tally));
+    let written = collect(json.chain(drawn)).map_err(Failure::running);
+    written.and(print(text(options, &scores, trained.as_deref())).map_err(Failure::running))
+}
+
+/// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
+fn provenance(options: &Options, begun: Provenance) -> anyhow::Result<Provenance> {
+    if options.json.is_none() {
+        return Ok(begun);
+    }
+    let configuration = serde_json::json!({ "people": options.people, "channels": options.channels });
+    let recordings: Vec<PathBuf> = options
+        .paths
+        .iter()
+        // A data set's manifest names the hashes of what it was made from.
+        .map(|path| if StoredDataset::is_one(path) { path.join("manifest.json") } else { path.clone() })
+        .collect();
+    let begun = begun.with_configuration(&configuration)?.with_models([&options.model])?;
+    Ok(begun.with_recording(&recordings)?)
 }
 
 fn failure(error: ScoreError) -> Failure {
     if error.is_bad_input() { Failure::input(error) } else { Failure::running(error) }
 }
 
-fn text(options: &Options, scores: &Scores, provenance: Option<&str>) -> String {
+fn text(options: &Options, scores: &Scores, trained: Option<&str>) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
     let mut text = format!("{} on people {}\n", options.model.display(), people.join(", "));
-    if let Some(provenance) = provenance {
-        text += &format!("the model: {provenance}\n");
+    if let Some(trained) = trained {
+        text += &format!("the model: {trained}\n");
     }
     text += &format!("\n{}\n", scores.evaluation);
     if !scores.skipped.is_empty() {

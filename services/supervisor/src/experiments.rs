@@ -5,11 +5,13 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 use tendon_experiments::{Event, ExperimentError, Settings};
+use tendon_provenance::Provenance;
 
 use crate::Failure;
 use crate::dataset::BuildProgress;
 use crate::output::{print, tell};
 use crate::progress::Works;
+use crate::provenance::PROGRAM;
 
 /// Command line of `tendon experiments`.
 #[derive(Debug, Args)]
@@ -65,8 +67,21 @@ impl Options {
             trains: !self.no_training,
             runs_live: !self.no_live,
             runtime_library: tendon_classifier::runtime_library(self.runtime_library.as_deref())?,
+            provenance: self.provenance()?,
             program: std::env::current_exe().context("cannot tell where this program is")?,
         })
+    }
+}
+
+impl Options {
+    fn provenance(&self) -> anyhow::Result<Provenance> {
+        let configuration = serde_json::json!({
+            "three_dc_test_people": self.three_dc_test_people,
+            "ozdemir_test_people": self.ozdemir_test_people,
+            "seeds": self.seeds,
+            "epochs": self.epochs,
+        });
+        Ok(Provenance::begin(PROGRAM).with_configuration(&configuration)?)
     }
 }
 

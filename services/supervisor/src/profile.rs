@@ -6,10 +6,11 @@ use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use tendon_emg_simulation::{FitSettings, Profile, Segment, fit as fit_profile};
 use tendon_gesture::Gesture;
+use tendon_output::collect;
 use tendon_recordings::{Channel, RecordingSettings, RecordingSource};
 
 use crate::Failure;
-use crate::output::{print, tell};
+use crate::output::{checked, print, tell};
 
 /// Commands of `tendon profile`.
 #[derive(Debug, Subcommand)]
@@ -43,9 +44,9 @@ pub struct FitOptions {
 
 /// Fits and writes a profile.
 pub fn fit(options: &FitOptions) -> Result<(), Failure> {
+    let out = checked(Some(&options.out))?;
     let profile = fitted(options).map_err(Failure::input)?;
-    std::fs::write(&options.out, profile.to_toml())
-        .with_context(|| format!("cannot write {}", options.out.display()))
+    collect(out.iter().map(|file| file.write_bytes(profile.to_toml().as_bytes())))
         .map_err(Failure::running)?;
     let path = options.out.display();
     print(format_args!(

@@ -13,12 +13,14 @@ use tendon_evaluation::{
     StrategyModels, StrategyScores, chosen_people, dataset_settings, score_strategy, with_trials,
 };
 use tendon_gesture::{DecisionSettings, Strategy};
+use tendon_output::collect;
 use tendon_pipeline::{Pipeline, PipelineSettings};
+use tendon_provenance::Provenance;
 
 use crate::Failure;
-use crate::output::print;
+use crate::output::{checked, print};
 use crate::progress::Works;
-use crate::run::write_json;
+use crate::provenance::PROGRAM;
 
 /// Command line of `tendon strategies`.
 #[derive(Debug, Args)]
@@ -66,16 +68,24 @@ struct AllScores {
     /// Recordings that could not be used, and why.
     skipped: Vec<String>,
     strategies: BTreeMap<&'static str, StrategyScores>,
+    provenance: Provenance,
 }
 
 /// Scores the strategies.
 pub fn score(options: &Options) -> Result<(), Failure> {
+    let json = checked(options.json.as_deref())?;
+    let begun = Provenance::begin(PROGRAM);
     let mut pipelines = pipelines(options).map_err(Failure::input)?;
     let settings = dataset_settings(pipelines[0].1.settings(), &options.channels);
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let known: BTreeSet<u16> = found.recordings.iter().map(|recording| recording.person).collect();
     let trained = pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().people_trained()).collect();
     let people = chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
+    let is_trained_on = people.iter().any(|person| trained.contains(person));
+    let provenance = Provenance {
+        trained_on_person: (!trained.is_empty()).then_some(is_trained_on),
+        ..provenance(options, &pipelines, begun).map_err(Failure::running)?
+    };
     let recordings: Vec<Recording> =
         found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
 
@@ -89,6 +99,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         people,
         skipped: found.skipped.iter().map(ToString::to_string).chain(unusable).collect(),
         strategies: BTreeMap::new(),
+        provenance,
     };
     let mut text = String::new();
     for (strategy, pipeline) in &mut pipelines {
@@ -106,8 +117,27 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         all.skipped.iter().for_each(|skipped| text += &format!("  {skipped}\n"));
     }
     // A closed output does not keep the file from being written, nor the other way round.
-    let json = options.json.as_deref().map_or(Ok(()), |path| write_json(path, &all));
-    json.and(print(text.trim_end())).map_err(Failure::running)
+    let written = collect(json.iter().map(|file| file.write_json(&all))).map_err(Failure::running);
+    written.and(print(text.trim_end()).map_err(Failure::running))
+}
+
+/// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
+fn provenance(
+    options: &Options,
+    pipelines: &[(Strategy, Pipeline)],
+    begun: Provenance,
+) -> anyhow::Result<Provenance> {
+    if options.json.is_none() {
+        return Ok(begun);
+    }
+    let mut models: Vec<PathBuf> = Vec::new();
+    for (_, pipeline) in pipelines {
+        models.extend(pipeline.recogniser().models().into_iter().map(PathBuf::from));
+    }
+    models.sort();
+    models.dedup();
+    let begun = begun.with_configuration(&configuration(options)?)?.with_models(models)?;
+    Ok(begun.with_recording(&options.recordings)?)
 }
 
 /// A pipeline for each strategy that is to be scored; at least one.

@@ -1,11 +1,7 @@
-//! The target-zone task of `tendon run --task`, as the configuration describes it, and its figures.
+//! The target-zone task of `tendon run --task`, as the configuration describes it.
 
-use std::path::Path;
-
-use anyhow::Context;
 use tendon_arm::SimulatedArm;
 use tendon_config::Config;
-use tendon_figures::zones_figure;
 use tendon_gesture::Strategy;
 use tendon_zones::{TaskKind, TaskPlan, TaskRun, Workspace};
 
@@ -28,13 +24,4 @@ pub fn task(kind: TaskKind, config: &Config, has_simulated_user: bool) -> anyhow
         speed_mm_per_s: config.decision.speed_mm_per_s,
         has_simulated_user,
     })?)
-}
-
-/// Draws the zones as PNG and SVG in `folder`, which is there.
-pub fn write_figures(folder: &Path, run: &TaskRun) -> anyhow::Result<()> {
-    let Some((task, report)) = run.under_way().zip(run.report(0)) else { return Ok(()) };
-    for file in ["zones.png", "zones.svg"] {
-        zones_figure(&folder.join(file), task, &report).context("the task's figure")?;
-    }
-    Ok(())
 }

@@ -1,8 +1,10 @@
-"""The vendor's own client drives the emulator: connect, enable, set mode and state, move, read, grip, see errors.
+"""The vendor's own client drives the emulator: connect, identify, enable, set mode and state, move, read, grip and
+stop the grip, see errors and what is set on the controller.
 
     python vendor_client.py CONTROL_PORT NORMAL_PORT RICH_PORT REAL_TIME_PORT
 
-Needs `pip install xarm-python-sdk` (1.18). The ports are those of a running emulator on 127.0.0.1.
+Needs `pip install xarm-python-sdk==1.18.4`. The ports are those of an emulator on 127.0.0.1 with the properties that
+`vendor_client.rs` gives it.
 Faults are asked for by printing `inject FAULT`, which whoever runs this script passes on to the emulator. Waits for
 conditions, for 10 s at most; exits with 1 where one does not come.
 """
@@ -59,6 +61,17 @@ for report_type in ("rich", "normal", "real"):
     check(f"connected, {report_type} reports", arm.connected)
     wait_for("reports come", lambda: any(arm.angles))
     check("seven joints", arm.axis == 7)
+    check(f"version (is {arm.version})", arm.version == "7,7,XI1305,AC1300,v2.5.0")
+    check("version_number", arm.version_number == (2, 5, 0))
+    check(f"get_robot_sn (is {arm.get_robot_sn()})", arm.get_robot_sn() == (0, "XI130506D01L04"))
+    check("the xArm7", arm.device_type == 7)
+    if report_type != "real":
+        near = lambda found, wanted: all(abs(one - other) < 1e-3 for one, other in zip(found, wanted, strict=True))
+        wait_for("the TCP offset", lambda: near(arm.tcp_offset, [1.0, -2.0, 172.0, 0.0, 0.0, 0.5]))
+        check("the load", near([arm.tcp_load[0], *arm.tcp_load[1]], [0.82, 0.0, 1.0, 48.0]))
+        check("the collision sensitivity", arm.collision_sensitivity == 4)
+        check("the teaching sensitivity", arm.teach_sensitivity == 2)
+        check("the direction of gravity", near(arm.gravity_direction, [0.0, 0.0, 1.0]))
     bring_up(arm)
     wait_for("mode 5, state ready, no error", lambda: arm.mode == 5 and arm.state in (1, 2) and arm.error_code == 0)
 
@@ -85,6 +98,18 @@ for report_type in ("rich", "normal", "real"):
     code, pulses = arm.get_gripper_position()
     check(f"get_gripper_position (is {pulses})", code == 0 and abs(pulses - 200) <= 1)
     check("set_gripper_position(850)", arm.set_gripper_position(850, wait=True, wait_motion=False) == 0)
+    check("a slow gripper", arm.set_gripper_speed(100) == 0)
+    check("it closes", arm.set_gripper_position(0, wait_motion=False) == 0)
+    wait_for("it says that it moves", lambda: arm.get_gripper_status() == (0, 1))
+    present = arm.get_gripper_position()[1]
+    check("its present position as target stops it", arm.set_gripper_position(present, wait_motion=False) == 0)
+    wait_for("it says that it stands", lambda: arm.get_gripper_status() == (0, 0))
+    check("where it was", abs(arm.get_gripper_position()[1] - present) <= 1)
+    check("its motor off", arm.set_gripper_enable(False) == 0)
+    arm.set_gripper_position(0, wait_motion=False)
+    time.sleep(0.3)
+    check("it does not move then", abs(arm.get_gripper_position()[1] - present) <= 1)
+    check("its motor on", arm.set_gripper_enable(True) == 0)
 
     print("inject collision", flush=True)
     wait_for("get_err_warn_code tells the collision", lambda: arm.get_err_warn_code()[1][0] == 31)

@@ -5,7 +5,8 @@
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-use tendon_xarm_emulator::{Emulator, Listen};
+use tendon_xarm::{Firmware, Setup};
+use tendon_xarm_emulator::{Emulator, Listen, Properties};
 
 #[test]
 fn the_vendors_client_moves_the_arm_grips_and_sees_errors() {
@@ -13,7 +14,20 @@ fn the_vendors_client_moves_the_arm_grips_and_sees_errors() {
         println!("skipped: TENDON_XARM_PYTHON names no Python with xarm-python-sdk");
         return;
     };
-    let emulator = Emulator::start(Listen::anywhere()).unwrap();
+    let properties = Properties {
+        firmware: Firmware { major: 2, minor: 5, revision: 0 },
+        serial_number: "XI130506D01L04".to_owned(),
+        setup: Setup {
+            tcp_offset: [1.0, -2.0, 172.0, 0.0, 0.0, 0.5],
+            load_kg: 0.82,
+            load_centre_mm: [0.0, 1.0, 48.0],
+            collision_sensitivity: 4,
+            teaching_sensitivity: 2,
+            gravity: Some([0.0, 0.0, 1.0]),
+        },
+        ..Properties::default()
+    };
+    let emulator = Emulator::start_as(properties, Listen::anywhere()).unwrap();
     let listen = emulator.listen;
     let ports = [
         listen.control_port,

@@ -1,4 +1,4 @@
-//! What a model was trained for, as it stands in its metadata.
+//! What a model was trained for, according to its metadata.
 
 use std::fmt;
 
@@ -17,11 +17,11 @@ pub struct Contract {
     pub sample_rate_hz: f64,
     /// Samples of each channel in a window.
     pub window_samples: usize,
-    /// Successive windows that are classified together: 1, but for a model of sequences.
+    /// Successive windows that are classified together: 1, except for a model of sequences.
     pub sequence_windows: usize,
     /// Filter before the window.
     pub filter: FilterSettings,
-    /// What the window holds; without a word on it, the filtered signal.
+    /// What the window holds; the filtered signal if the metadata do not say.
     pub input: WindowInput,
     /// Classes in the order of the outputs.
     pub classes: Vec<Class>,
@@ -36,7 +36,7 @@ pub struct Contract {
 /// What delivers windows to a model: a session, or a data set.
 #[derive(Clone, Copy, Debug)]
 pub struct WindowSource<'a> {
-    /// What it is, for messages: `the session`.
+    /// Its name in messages: `the session`.
     pub name: &'static str,
     /// Number of channels.
     pub channels: usize,
@@ -44,9 +44,9 @@ pub struct WindowSource<'a> {
     pub sample_rate_hz: f64,
     /// Samples of each channel in a window.
     pub window_samples: usize,
-    /// Most successive windows that it hands over together.
+    /// Largest number of successive windows that it delivers together.
     pub sequence_windows: usize,
-    /// Filter before the window; `None` where the recordings were filtered before, nobody knows how.
+    /// Filter before the window; `None` if the recordings had been filtered in an unknown way.
     pub filter: Option<&'a FilterSettings>,
     /// What a window holds.
     pub input: WindowInput,
@@ -72,7 +72,7 @@ impl<'a> WindowSource<'a> {
     }
 }
 
-/// Something in which a model and what delivers its windows differ.
+/// A difference between a model and the source of its windows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mismatch {
     /// What differs.
@@ -96,13 +96,13 @@ impl fmt::Display for Mismatch {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ContractProblem {
     /// Metadata that are missing.
-    #[error("the metadata lack `{key}`, so nobody can know what it fits")]
+    #[error("the metadata lack `{key}`")]
     Missing {
         /// The key.
         key: &'static str,
     },
     /// Metadata that mean nothing.
-    #[error("the metadata's `{key}` is `{value}`, which makes no sense")]
+    #[error("the metadata's `{key}` is `{value}`, which is not valid")]
     Senseless {
         /// The key.
         key: &'static str,
@@ -140,7 +140,9 @@ pub enum ContractProblem {
         expected: Vec<i64>,
     },
     /// Outputs that are no probabilities: a softmax is missing.
-    #[error("its outputs are no probabilities, from 0 to 1 and 1 together, but {outputs:?}")]
+    #[error(
+        "its outputs are not probabilities (0 to 1, adding up to 1) but {outputs:?}: end the network with a softmax"
+    )]
     NoProbabilities {
         /// The outputs for a window of zeros.
         outputs: Vec<f32>,

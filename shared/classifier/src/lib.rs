@@ -5,10 +5,11 @@
 //!             └─ metadata: channels, rate, window, filter, classes  =  Contract
 //! ```
 //!
-//! A model is refused before its first window if its [`Contract`] does not fit what the session delivers.
+//! A model whose [`Contract`] does not fit the session is refused before its first window.
 
 mod contract;
 mod locate;
+mod metadata;
 mod recogniser;
 mod run;
 
@@ -19,10 +20,12 @@ use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::ValueType;
+use tendon_gesture::Class;
 
 pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
-pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, Recogniser, default_model_file};
+pub use metadata::people_trained;
+pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, default_model_file};
 
 use run::{RunError, Runner};
 
@@ -43,7 +46,7 @@ pub enum ClassifierError {
     RuntimeLibrary {
         /// The library.
         path: PathBuf,
-        /// ort's own word.
+        /// The message of ort.
         reason: String,
     },
     /// No model was found.
@@ -60,7 +63,7 @@ pub enum ClassifierError {
         /// ONNX Runtime's own word.
         reason: String,
     },
-    /// The model says nothing, or nothing sensible, about what it was trained for.
+    /// The metadata do not say, or not sensibly, what the model was trained for.
     #[error("{}: {problem}; export it with models/training/train.py, which writes the metadata", path.display())]
     Contract {
         /// The model.
@@ -90,7 +93,8 @@ impl From<RunError> for ClassifierError {
     }
 }
 
-/// A loaded model, ready to classify windows one by one. Once warm, classifying allocates nothing on our side.
+/// A loaded model, ready to classify windows one by one. Once warm, classifying allocates nothing outside of
+/// ONNX Runtime.
 #[derive(Debug)]
 pub struct Classifier {
     path: PathBuf,
@@ -127,14 +131,12 @@ impl Classifier {
         };
         let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
         let shape = input_shape(&contract);
-        let mut runner = Runner::new(session, [&input, &output], &shape, contract.classes.len())
+        let runner = Runner::new(session, [&input, &output], &shape, contract.classes.len())
             .map_err(|error| model_error(&error))?;
         let silence = vec![0.0; shape.iter().product::<i64>() as usize];
-        let outputs = runner.run(&silence).map_err(|error| model_error(&error))?;
-        if !are_probabilities(outputs) {
-            return Err(contract_error(ContractProblem::NoProbabilities { outputs: outputs.to_vec() }));
-        }
-        Ok(Classifier { path: model.to_owned(), contract, runner })
+        let mut classifier = Classifier { path: model.to_owned(), contract, runner };
+        classifier.classify(&silence)?;
+        Ok(classifier)
     }
 
     /// The model's file.
@@ -147,7 +149,7 @@ impl Classifier {
         &self.contract
     }
 
-    /// Makes sure that the model was trained for what delivers its windows.
+    /// Checks that the model was trained for this source of windows.
     ///
     /// # Errors
     ///
@@ -161,16 +163,26 @@ impl Classifier {
         Err(ClassifierError::Unfit { path: self.path.clone(), differences: differences.join("; ") })
     }
 
-    /// Classifies one window, channel-major `[channels × samples]`, or one sequence `[windows × channels ×
-    /// samples]` if the model is of such, which is read in place. Returns the probability of every class of the
-    /// contract, in its order.
+    /// Classifies one window, channel-major `[channels × samples]`, or, for a model of sequences, one
+    /// sequence `[windows × channels × samples]`. It is read in place. Returns the probability of every class
+    /// of the contract, in its order.
     ///
     /// # Errors
     ///
-    /// [`ClassifierError::Run`] when the window has another length than the contract says, or ONNX Runtime
-    /// fails.
+    /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails;
+    /// [`ClassifierError::Contract`] if the outputs are no probabilities.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
-        self.runner.run(window).map_err(ClassifierError::from)
+        self.probabilities(window).map(|(_, probabilities)| probabilities)
+    }
+
+    /// As [`Classifier::classify`], beside the classes.
+    fn probabilities(&mut self, window: &[f32]) -> Result<(&[Class], &[f32]), ClassifierError> {
+        let outputs = self.runner.run(window)?;
+        if !are_probabilities(outputs) {
+            let problem = ContractProblem::NoProbabilities { outputs: outputs.to_vec() };
+            return Err(ClassifierError::Contract { path: self.path.clone(), problem });
+        }
+        Ok((&self.contract.classes, outputs))
     }
 }
 
@@ -227,7 +239,7 @@ fn input_shape(contract: &Contract) -> Vec<i64> {
     [1].into_iter().chain(windows).chain([channels, window_samples]).map(|size| size as i64).collect()
 }
 
-/// ONNX Runtime's messages come with line breaks; an error of ours is one sentence.
+/// ONNX Runtime's messages contain line breaks; our errors are one sentence.
 fn one_line(message: &str) -> String {
     message.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -7,13 +7,13 @@ use crate::ClassifierError;
 /// Where `scripts/fetch-onnxruntime` puts the library, from the top of the project.
 const FETCHED_LIBRARY: &str = ".cache/onnxruntime/libonnxruntime.so";
 
-/// The runtime library to use: `configured`, else `ORT_DYLIB_PATH`, else `libonnxruntime.so` beside the
-/// program, else what `scripts/fetch-onnxruntime` fetched in a folder above the program.
+/// The runtime library to use: `configured`, otherwise `ORT_DYLIB_PATH`, otherwise `libonnxruntime.so` beside
+/// the program, otherwise what `scripts/fetch-onnxruntime` fetched in a folder above the program.
 ///
 /// # Errors
 ///
-/// [`ClassifierError::NoRuntimeLibrary`], or [`ClassifierError::RuntimeLibrary`] when the one that was named
-/// is not there.
+/// [`ClassifierError::NoRuntimeLibrary`], or [`ClassifierError::RuntimeLibrary`] if the configured library
+/// does not exist.
 pub fn runtime_library(configured: Option<&Path>) -> Result<PathBuf, ClassifierError> {
     let from_environment = || std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty());
     if let Some(named) = configured.map(Path::to_owned).or_else(|| from_environment().map(PathBuf::from)) {

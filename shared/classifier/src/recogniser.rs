@@ -1,6 +1,6 @@
 //! The models of a strategy, as one thing that turns windows into probabilities of gestures.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tendon_gesture::{Class, Gesture, Strategy};
 
@@ -17,6 +17,42 @@ pub const fn default_model_file(strategy: Strategy) -> &'static str {
 
 /// File name of the model that comes with Tendon for the first stage of the two-stage strategy.
 pub const DEFAULT_REST_MOVE_MODEL_FILE: &str = "cnn-rest-move.onnx";
+
+/// The files of the models that a strategy needs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelFiles {
+    /// The model of the gestures.
+    pub gestures: PathBuf,
+    /// The model of rest and move, for the two-stage strategy.
+    pub rest_move: Option<PathBuf>,
+}
+
+impl ModelFiles {
+    /// The files that were named; where a path is left out, the model that comes with Tendon.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::NoModel`] when that one is not there.
+    pub fn find(
+        strategy: Strategy,
+        model: Option<&Path>,
+        rest_move_model: Option<&Path>,
+    ) -> Result<ModelFiles, ClassifierError> {
+        let find = |model: Option<&Path>, default: &str| {
+            model.map_or_else(|| model_beside_program(default), |path| Ok(path.to_owned()))
+        };
+        let gestures = find(model, default_model_file(strategy))?;
+        let is_two_stage = strategy == Strategy::TwoStage;
+        let rest_move =
+            is_two_stage.then(|| find(rest_move_model, DEFAULT_REST_MOVE_MODEL_FILE)).transpose()?;
+        Ok(ModelFiles { gestures, rest_move })
+    }
+
+    /// The files in the order in which the models are asked.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.rest_move.iter().chain([&self.gestures]).map(PathBuf::as_path)
+    }
+}
 
 /// The model of a strategy, or the two of the two-stage strategy.
 ///
@@ -53,11 +89,9 @@ impl Recogniser {
         model: Option<&Path>,
         rest_move_model: Option<&Path>,
     ) -> Result<Recogniser, ClassifierError> {
-        let load = |model: Option<&Path>, default: &str| {
-            let path = model.map_or_else(|| model_beside_program(default), |path| Ok(path.to_owned()))?;
-            Classifier::load(library, &path)
-        };
-        let gestures = load(model, default_model_file(strategy))?;
+        let ModelFiles { gestures, rest_move: rest_move_file } =
+            ModelFiles::find(strategy, model, rest_move_model)?;
+        let gestures = Classifier::load(library, &gestures)?;
         let unfit = |classifier: &Classifier, needed: &'static str| {
             let classes: Vec<&str> = classifier.contract().classes.iter().map(|class| class.name()).collect();
             Err(ClassifierError::Unfit {
@@ -77,8 +111,8 @@ impl Recogniser {
             return unfit(&gestures, "which needs a model that knows rest");
         }
         let mut rest_move = None;
-        if strategy == Strategy::TwoStage {
-            let classifier = load(rest_move_model, DEFAULT_REST_MOVE_MODEL_FILE)?;
+        if let Some(file) = rest_move_file {
+            let classifier = Classifier::load(library, &file)?;
             let rest = match classifier.contract().classes[..] {
                 [Class::Gesture(Gesture::Rest), Class::Move] => 0,
                 [Class::Move, Class::Gesture(Gesture::Rest)] => 1,
@@ -89,7 +123,7 @@ impl Recogniser {
         Ok(Recogniser { gestures, rest_move, probabilities: [0.0; Gesture::COUNT] })
     }
 
-    /// Makes sure that each model fits what delivers the windows.
+    /// Checks that each model fits the source of the windows.
     ///
     /// # Errors
     ///
@@ -99,20 +133,21 @@ impl Recogniser {
         self.rest_move.as_ref().map_or(Ok(()), |rest_move| rest_move.classifier.check_fit(source))
     }
 
-    /// The files of the models, in the order in which they are asked.
+    /// The files of the models, in the order in which they run.
     pub fn models(&self) -> Vec<&Path> {
         let rest_move = self.rest_move.iter().map(|rest_move| rest_move.classifier.path());
         rest_move.chain([self.gestures.path()]).collect()
     }
 
-    /// Numbers of the people whom the models were trained on, as far as they say so.
+    /// Numbers of the people the models were trained on, as far as their metadata say.
     pub fn people_trained(&self) -> Vec<u16> {
         let rest_move = self.rest_move.iter().map(|rest_move| &rest_move.classifier);
         rest_move.chain([&self.gestures]).flat_map(|model| model.contract().people_trained.clone()).collect()
     }
 
-    /// The probability of every gesture by class number, 0 for those that the model does not know. Of the two
-    /// stages, that of the first if it says rest, else those of the second. The window is read in place.
+    /// The probability of every gesture by class number, 0 for those that the model does not know. With two
+    /// stages, the probability of the first if it says rest, otherwise those of the second. The window is
+    /// read in place.
     ///
     /// # Errors
     ///
@@ -122,15 +157,15 @@ impl Recogniser {
         if let Some(rest_move) = &mut self.rest_move {
             let outputs = rest_move.classifier.classify(window)?;
             let (rest, movement) = (outputs[rest_move.rest], outputs[1 - rest_move.rest]);
-            // Of equals, rest: an arm that waits does less harm. So does one whose model gives no number.
+            // Rest if both are equal, or if the model returns NaN: an arm that waits does less harm.
             let moves = movement > rest;
             if !moves {
                 self.probabilities[Gesture::Rest.index()] = rest;
                 return Ok(&self.probabilities);
             }
         }
-        let outputs = self.gestures.runner.run(window)?;
-        for (class, probability) in self.gestures.contract.classes.iter().zip(outputs) {
+        let (classes, outputs) = self.gestures.probabilities(window)?;
+        for (class, probability) in classes.iter().zip(outputs) {
             if let Class::Gesture(gesture) = class {
                 self.probabilities[gesture.index()] = *probability;
             }
@@ -141,7 +176,7 @@ impl Recogniser {
         Ok(&self.probabilities)
     }
 
-    /// Runs every model on `window`, whatever it shows: what a rehearsal needs.
+    /// Runs every model on `window`, whatever it contains, as a rehearsal needs.
     ///
     /// # Errors
     ///

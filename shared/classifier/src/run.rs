@@ -1,8 +1,8 @@
-//! One run of a model on memory that is not ours.
+//! One run of a model on memory owned by others.
 //!
-//! ort's safe interface allocates names, maps and reference counts for every run, and cannot take a new
-//! input address without doing so. The path of a sample must not allocate, and the window must be read where
-//! it lies, in shared memory; so the one call that does this goes to ONNX Runtime's C interface directly.
+//! ort's safe interface allocates names, maps and reference counts for every run, and cannot take a new input
+//! address without doing so. The path of a sample must not allocate, and the window must be read in place, in
+//! shared memory. So this one call uses ONNX Runtime's C interface directly.
 
 use std::ffi::{CStr, CString, c_void};
 use std::fmt;
@@ -35,7 +35,7 @@ impl From<ort::Error> for RunError {
     }
 }
 
-/// A session with everything that a run needs, made beforehand.
+/// A session with everything a run needs, prepared in advance.
 ///
 /// Fields are dropped in their order: the tensor before the memory that it lies over, the session last.
 pub(crate) struct Runner {
@@ -83,7 +83,7 @@ impl Runner {
         })
     }
 
-    /// Runs the model on `input`, a window or a sequence of such, where it lies; returns the outputs.
+    /// Runs the model on `input`, a window or a sequence of windows, in place; returns the outputs.
     pub(crate) fn run(&mut self, input: &[f32]) -> Result<&[f32], RunError> {
         if input.len() != self.input_length {
             return Err(RunError::Length { found: input.len(), expected: self.input_length });
@@ -145,7 +145,7 @@ impl Drop for Outputs {
     }
 }
 
-/// A tensor over memory of somebody else.
+/// A tensor over memory owned by somebody else.
 struct Tensor(*mut sys::OrtValue);
 
 impl Tensor {

@@ -1,11 +1,13 @@
-//! Writes the data set of many recordings, on several threads, and goes on where it was interrupted.
+//! Builds the data set of many recordings on several threads; continues a build that was interrupted.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use tendon_output::{OutputError, OutputFile};
+use tendon_provenance::Provenance;
 use tendon_recordings::SkippedEntry;
 use tendon_recordings::npy::{Element, MappedArray, NpyWriter};
 use tendon_signal::DesignError;
@@ -70,7 +72,7 @@ pub enum DatasetError {
         test_people: Vec<u16>,
     },
     /// The build was broken off.
-    #[error("interrupted: the same command goes on where {} stands", .out_dir.display())]
+    #[error("interrupted: run the same command again to continue the build in {}", .out_dir.display())]
     Interrupted {
         /// Folder of the data set.
         out_dir: PathBuf,
@@ -89,6 +91,9 @@ pub enum DatasetError {
         /// What the system says.
         reason: io::Error,
     },
+    /// The manifest cannot be written.
+    #[error(transparent)]
+    Manifest(#[from] OutputError),
     /// Not a single window.
     #[error(
         "no window could be cut from {recordings} recordings; the first was left out because: {first_reason}"
@@ -104,19 +109,21 @@ pub enum DatasetError {
 /// How a data set is built from its settings and recordings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BuildSettings {
-    /// People all of whose windows are for the test; nobody else's are.
+    /// People held out: all their windows are for the test, and no others.
     pub test_people: Vec<u16>,
     /// Seed of the choice of windows for validation.
     pub seed: u64,
     /// Recordings that are read at a time. The data set does not depend on it.
     pub threads: usize,
+    /// Where the data set comes from, for its manifest.
+    pub provenance: Provenance,
 }
 
 impl Default for BuildSettings {
     /// Nobody is held out; all processors, but no more than eight threads: each may hold a recording in memory.
     fn default() -> BuildSettings {
         let threads = std::thread::available_parallelism().map_or(1, NonZeroUsize::get).min(8);
-        BuildSettings { test_people: Vec::new(), seed: 0, threads }
+        BuildSettings { test_people: Vec::new(), seed: 0, threads, provenance: Provenance::default() }
     }
 }
 
@@ -125,7 +132,7 @@ impl Default for BuildSettings {
 ///
 /// A build that was interrupted, by `progress` or by the end of the process, goes on where it stopped when it is
 /// begun again with the same settings and recordings; with others, all of it is made anew. The data set is the same
-/// to the byte either way.
+/// to the byte either way, but for the provenance in its manifest.
 ///
 /// # Errors
 /// When [`list`] gives one, the settings do not fit, nothing is left to train on, `progress` breaks off, or the data
@@ -159,7 +166,7 @@ pub fn build(
                     };
                     give(Step::Outcome(outcome), bytes)
                 });
-                // Should the other side have broken off, nobody needs this.
+                // If the other side has stopped, nothing more is needed.
                 let notices = given.map(|(notices, _)| notices).map_err(|error| recording.skipped(&error));
                 let _ = give(Step::End(notices), 0);
             },
@@ -211,8 +218,8 @@ struct Builder<'a> {
 }
 
 impl<'a> Builder<'a> {
-    /// Opens the data set in `out_dir` to go on with it, or begins it; and whether something else was found there
-    /// that had not come to its end.
+    /// Opens the data set in `out_dir` to continue it, or starts a new one; and whether an unfinished build of something
+    /// else was found there.
     fn open(
         settings: &'a DatasetSettings,
         found: &Recordings,
@@ -325,14 +332,12 @@ impl<'a> Builder<'a> {
             .map_err(|error| write_error(&windows_path)(io::Error::other(error)))?;
         let statistics = split::statistics(&mut stored, &splits, &recordings);
         let content = Content { windows: count, recordings, skipped, notices };
-        let manifest = Manifest::of(settings, content, split, statistics);
-        let manifest_path = out_dir.join(MANIFEST);
-        let write_manifest = || {
-            let mut file = io::BufWriter::new(File::create(&manifest_path)?);
-            serde_json::to_writer_pretty(&mut file, &manifest)?;
-            io::Write::flush(&mut file)
+        let manifest = Manifest {
+            provenance: building.provenance.clone(),
+            ..Manifest::of(settings, content, split, statistics)
         };
-        write_manifest().map_err(write_error(&manifest_path))?;
+        let manifest_path = out_dir.join(MANIFEST);
+        OutputFile::check(&manifest_path).and_then(|file| file.write_json(&manifest))?;
         journal.remove(out_dir).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
         Ok(manifest)
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_provenance::Provenance;
 use tendon_recordings::SkippedEntry;
 
 use crate::settings::DatasetSettings;
@@ -35,6 +36,9 @@ pub struct Manifest {
     pub skipped: Vec<SkippedEntry>,
     /// What the user should know about the recordings.
     pub notices: Vec<String>,
+    /// Program, machine, options and hashes of the recordings.
+    #[serde(default)]
+    pub provenance: Provenance,
 }
 
 /// What the builder knows of a data set when its windows are written.
@@ -76,6 +80,7 @@ impl Manifest {
             recordings,
             skipped,
             notices,
+            provenance: Provenance::default(),
         }
     }
 }

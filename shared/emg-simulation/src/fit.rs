@@ -1,19 +1,18 @@
 //! A profile from recordings of a person.
 //!
-//! Every recording is cut into frames of 256 ms (Hann window, half overlapped, Welch 1967). Each frame counts
-//! alike, however strong it is: its spectrum is divided by its power before spectra are averaged, and the power
-//! of the profile is the geometric mean of the frames' powers. A burst, or an electrode that slips, then
-//! weighs no more than any other frame. At each frequency of the profile the spectra are averaged with
+//! Every recording is cut into frames of 256 ms (Hann window, half overlapped, Welch 1967). Every frame has
+//! the same weight, however strong it is: its spectrum is divided by its power before spectra are averaged,
+//! and the power of the profile is the geometric mean of the frames' powers. A burst or a slipping electrode
+//! then counts no more than any other frame. At each frequency of the profile the spectra are averaged with
 //! weights that fall to zero at its neighbours (0 Hz before the first), the counterpart of the linear
 //! interpolation with which they are used.
 
-use realfft::RealFftPlanner;
-use realfft::num_complex::Complex;
 use tendon_gesture::Gesture;
+use tendon_spectrum::{Complex, RealToComplex, plan_real_fft};
 
 use crate::profile::{Coherency, GestureProfile, Profile, cholesky};
 
-/// The frequencies of a fitted profile, as far as half of the recordings' sample rate reaches.
+/// The frequencies of a fitted profile, up to half of the recordings' sampling rate.
 const FREQUENCIES_HZ: [f64; 22] = [
     5.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0, 140.0, 160.0, 180.0, 200.0, 230.0, 260.0,
     300.0, 340.0, 380.0, 420.0, 460.0, 500.0,
@@ -21,7 +20,7 @@ const FREQUENCIES_HZ: [f64; 22] = [
 
 const FRAME_SECONDS: f64 = 0.256;
 
-/// The power of a frame is taken from here up: below is movement of the skin and the cables.
+/// The power of a frame is measured from here up. Below are movements of the skin and the cables.
 const LOWEST_HZ: f64 = 8.0;
 
 /// A stretch of a recording during which one gesture is held, without the head in which it begins.
@@ -33,19 +32,19 @@ pub struct Segment<'a> {
     pub samples: &'a [f32],
 }
 
-/// What [`fit()`] must know of the recordings.
+/// What [`fit()`] needs to know about the recordings.
 #[derive(Clone, Debug)]
 pub struct FitSettings {
     /// Whose recordings they are: [`Profile::source`].
     pub source: String,
     /// The unit of their samples: [`Profile::unit`].
     pub unit: String,
-    /// Their channels.
+    /// Number of their channels.
     pub channels: usize,
-    /// Their samples a second.
+    /// Their sampling rate, Hz.
     pub sample_rate_hz: f64,
-    /// The mains frequency where they were made. It and its harmonics are no muscle and are
-    /// left out there.
+    /// The mains frequency where they were recorded, Hz. It and its harmonics do not come from muscles and
+    /// are left out.
     pub mains_hz: f64,
 }
 
@@ -65,10 +64,10 @@ pub enum FitError {
         /// Mains frequency given.
         mains_hz: f64,
     },
-    /// A segment's values do not divide among the channels.
+    /// The number of values in a segment is not a multiple of the number of channels.
     #[error("fit, segment {segment} ({gesture}): {values} values do not divide among {channels} channels")]
     Channels {
-        /// Place of the segment, from 0.
+        /// Index of the segment, from 0.
         segment: usize,
         /// Its gesture.
         gesture: Gesture,
@@ -123,7 +122,7 @@ pub fn fit(segments: &[Segment<'_>], settings: &FitSettings) -> Result<Profile, 
 struct Spectra {
     channels: usize,
     window: Vec<f64>,
-    fft: std::sync::Arc<dyn realfft::RealToComplex<f64>>,
+    fft: std::sync::Arc<dyn RealToComplex<f64>>,
     bin_hz: f64,
     /// Bins that are not mains.
     usable_bins: Vec<usize>,
@@ -135,7 +134,7 @@ struct Spectra {
     cross: Vec<Vec<Complex<f64>>>,
 }
 
-/// Every two channels once, and every channel with itself.
+/// Every pair of channels once, and every channel with itself.
 fn pairs(channels: usize) -> impl Iterator<Item = [usize; 2]> {
     (0..channels).flat_map(|second| (0..=second).map(move |first| [first, second]))
 }
@@ -157,7 +156,7 @@ impl Spectra {
         Spectra {
             channels,
             window,
-            fft: RealFftPlanner::new().plan_fft_forward(frame),
+            fft: plan_real_fft(frame),
             bin_hz,
             usable_bins: (0..=frame / 2).filter(|bin| !is_mains(*bin)).collect(),
             frames: 0,
@@ -166,7 +165,7 @@ impl Spectra {
         }
     }
 
-    /// Adds the frames of one segment, but for those in which a channel is flat.
+    /// Adds the frames of one segment, except those in which a channel is flat.
     fn add(&mut self, samples: &[f32]) {
         let frame = self.window.len();
         let length = samples.len() / self.channels;
@@ -259,7 +258,7 @@ impl Spectra {
         Some(entry)
     }
 
-    /// The mean a frame around one of the profile's frequencies, over the bins that are not mains.
+    /// The mean per frame around one of the profile's frequencies, over the bins that are not mains.
     fn mean_near(&self, cross: &[Complex<f64>], frequencies_hz: &[f64], at: usize) -> Complex<f64> {
         let middle_hz = frequencies_hz[at];
         let previous_hz = if at == 0 { 0.0 } else { frequencies_hz[at - 1] };
@@ -279,8 +278,8 @@ impl Spectra {
     }
 }
 
-/// Estimates from few frames, and rounding, may make coherencies that contradict each other by a little;
-/// weaker ones do not.
+/// Estimates from few frames, and rounding, can give coherencies that slightly contradict each other.
+/// Slightly weaker ones do not.
 fn weaken_until_possible(entry: &mut GestureProfile, frequency: usize) {
     while cholesky(&entry.coherency_matrix(frequency)).is_none() {
         for coherency in &mut entry.coherency {
@@ -291,7 +290,7 @@ fn weaken_until_possible(entry: &mut GestureProfile, frequency: usize) {
     }
 }
 
-/// To three decimals: no recording tells more, and the file stays small.
+/// To three decimals: no recording supports more, and the file stays small.
 fn round(value: f64) -> f64 {
     (value * 1e3).round() / 1e3
 }

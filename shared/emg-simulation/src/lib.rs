@@ -6,11 +6,11 @@
 //!          recordings ─▶ fit ─▶ profile ─────────────┘
 //! ```
 //!
-//! A [`Profile`] says what one person's muscles look like to the electrodes, gesture by gesture; [`fit()`]
-//! makes one from recordings. A [`Script`] says which gesture is made when. A [`Performance`] follows a
-//! script, or what [`Performance::set_gesture`] is told, and lets contractions rise and fall as people do.
-//! [`SimulatedEmg`] turns all that into samples, with mains hum, baseline wander and, on request, faults.
-//! The same seed gives the same samples, whatever the size of the blocks they are asked for in.
+//! A [`Profile`] describes what one person's muscles look like at the electrodes, gesture by gesture;
+//! [`fit()`] makes one from recordings. A [`Script`] says which gesture is made when. A [`Performance`]
+//! follows a script, or [`Performance::set_gesture`], and lets contractions rise and fall as in people.
+//! [`SimulatedEmg`] turns all that into samples, with mains hum, baseline wander and, on request, faults. The
+//! same seed gives the same samples, whatever the block size.
 #![forbid(unsafe_code)]
 
 mod fit;

@@ -1,4 +1,4 @@
-//! A performance: who makes which gesture when, and how strongly each muscle pattern is in the signal.
+//! A performance: which gesture is made when, and how strongly each muscle pattern is present in the signal.
 //!
 //! ```text
 //! commanded   rest │ extension          │ rest
@@ -55,18 +55,18 @@ pub enum Repeat {
     Once,
 }
 
-/// The gesture that is truly made, as it stands after the newest sample.
+/// The gesture that is really being made, after the newest sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Truth {
     /// The commanded gesture, or rest.
     pub gesture: Gesture,
-    /// The number of the first sample that belongs to this gesture and no other. A gesture begins with its
-    /// rise; what follows a gesture begins when the fall has ended, so during a fall this number lies ahead
-    /// of the newest sample. A window is wholly inside the gesture if it starts at this sample or later.
+    /// The number of the first sample that belongs to this gesture alone. A gesture begins with its rise.
+    /// What follows a gesture begins when the fall has ended, so during a fall this number is ahead of the
+    /// newest sample. A window lies wholly inside the gesture if it starts at this sample or later.
     pub since_sample: u64,
 }
 
-/// Follows a script, or the gestures it is told, one sample at a time.
+/// Follows a script, or gestures given one by one, sample by sample.
 #[derive(Clone, Debug)]
 pub struct Performance {
     script: Option<Playback>,
@@ -133,13 +133,13 @@ impl Performance {
         performance
     }
 
-    /// Commands `gesture` from the next sample on; a script that was followed is followed no longer.
+    /// Commands `gesture` from the next sample on, and leaves the script if there was one.
     pub fn set_gesture(&mut self, gesture: Gesture) {
         self.script = None;
         self.command(gesture);
     }
 
-    /// Whether a script played once has ended, or was left for [`Performance::set_gesture`].
+    /// Whether a script that is played once has ended, or was left by [`Performance::set_gesture`].
     pub fn is_finished(&self) -> bool {
         self.script.is_none()
     }
@@ -149,7 +149,8 @@ impl Performance {
         self.truth
     }
 
-    /// Advances by one sample and says how strongly each gesture is in it, indexed by [`Gesture::index`].
+    /// Advances by one sample and returns how strongly each gesture is present in it, indexed by
+    /// [`Gesture::index`].
     pub(crate) fn next_levels(&mut self) -> &[f32; Gesture::COUNT] {
         self.follow_script();
         let commanded = self.truth.gesture.index();
@@ -186,7 +187,8 @@ impl Performance {
         if gesture == self.truth.gesture {
             return;
         }
-        // Rest has no fall to wait for: it is the absence of a contraction. A fall before this one may still go on.
+        // Rest has no fall to wait for: it is the absence of a contraction. An earlier fall may still be
+        // under way.
         let previous_ends = if self.truth.gesture == Gesture::Rest {
             self.truth.since_sample.max(self.sample)
         } else {
@@ -196,7 +198,7 @@ impl Performance {
     }
 }
 
-/// Whole samples in `duration`, at least one so that every step is made.
+/// Whole samples in `duration`, at least one, so that no step is skipped.
 fn duration_samples(duration: std::time::Duration, sample_rate_hz: f64) -> u64 {
     (duration.as_secs_f64() * sample_rate_hz).round().max(1.0) as u64
 }

@@ -1,9 +1,9 @@
-//! What one person's muscles look like to the electrodes: for every gesture a spectrum per channel and the
-//! coherency of every two channels. Nothing in a profile depends on a sample rate.
+//! What one person's muscles look like at the electrodes: for every gesture, a spectrum per channel and the
+//! coherency of every pair of channels. Nothing in a profile depends on a sampling rate.
 
-use realfft::num_complex::Complex;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_spectrum::Complex;
 
 /// A small file in the crate: `profiles/default.toml`.
 const DEFAULT_PROFILE: &str = include_str!("../profiles/default.toml");
@@ -12,14 +12,14 @@ const DEFAULT_PROFILE: &str = include_str!("../profiles/default.toml");
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Profile {
-    /// Whose recordings it was fitted from, for people.
+    /// Whose recordings it was fitted to, for human readers.
     pub source: String,
     /// The unit of the samples, such as `adc_counts`.
     pub unit: String,
     /// The frequencies, ascending, at which spectra and coherencies are given. Between them both are
     /// interpolated linearly; below the first and above the last there is no signal.
     pub frequencies_hz: Vec<f64>,
-    /// One entry a gesture, all six, in any order.
+    /// One entry per gesture, all six, in any order.
     pub gestures: Vec<GestureProfile>,
 }
 
@@ -31,12 +31,12 @@ pub struct GestureProfile {
     pub gesture: Gesture,
     /// `[channels][frequencies]`: square root of the one-sided power spectral density, in unit/√Hz.
     pub amplitude_density: Vec<Vec<f64>>,
-    /// How the channels go together: every two channels once.
+    /// How the channels vary together: every pair of channels once.
     pub coherency: Vec<Coherency>,
 }
 
 /// The coherency of two channels, `S12 / √(S11 S22)` with `S12` the mean of `X1 · conj(X2)` over the spectra
-/// `X` of many frames: its magnitude says how much of both signals has one origin, its phase by how much the
+/// `X` of many frames: its magnitude is the share of both signals with a common origin, its phase how far the
 /// first channel leads.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -52,10 +52,10 @@ pub struct Coherency {
 /// What is wrong with a profile.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ProfileError {
-    /// The text is no TOML, or lacks a key, or has one too many.
+    /// The text is not TOML, lacks a key, or has an unknown one.
     #[error("profile: {0}")]
     Toml(toml::de::Error),
-    /// A gesture occurs not at all or more than once.
+    /// A gesture is missing or occurs more than once.
     #[error("profile: {found} entries for the gesture `{gesture}`: give each of the six gestures once")]
     Gestures {
         /// The gesture.
@@ -63,7 +63,7 @@ pub enum ProfileError {
         /// How many entries it has.
         found: usize,
     },
-    /// The frequencies are not ascending, or fewer than two, or not finite and from 0 Hz.
+    /// The frequencies are not ascending, fewer than two, not finite, or negative.
     #[error("profile: frequencies_hz must be at least two, ascending and not negative")]
     Frequencies,
     /// A gesture's densities are not `[channels][frequencies]`, or not all finite and at least zero.
@@ -92,7 +92,7 @@ pub enum ProfileError {
         /// Number of frequencies.
         frequencies: usize,
     },
-    /// A coherency of channels that are not there, or not with the lower one first.
+    /// A coherency of channels that do not exist, or not with the lower one first.
     #[error(
         "profile, gesture `{gesture}`: no coherency of channels {channels:?} is wanted: there are {available} channels, the lower one goes first"
     )]
@@ -104,7 +104,7 @@ pub enum ProfileError {
         /// Channels of the profile.
         available: usize,
     },
-    /// No signals can have these coherencies all at once.
+    /// No signals can have all of these coherencies at the same time.
     #[error(
         "profile, gesture `{gesture}`: the coherencies at {frequency_hz} Hz contradict each other: make them smaller"
     )]
@@ -127,7 +127,7 @@ impl Profile {
     /// Reads and checks a profile.
     ///
     /// # Errors
-    /// If the text is no TOML of this shape, or [`Profile::check`] finds fault with it.
+    /// If the text is not TOML of this shape, or [`Profile::check`] rejects it.
     pub fn from_toml(text: &str) -> Result<Profile, ProfileError> {
         let profile: Profile = toml::from_str(text).map_err(ProfileError::Toml)?;
         profile.check()?;
@@ -144,7 +144,7 @@ impl Profile {
         self.gestures.first().map_or(0, |entry| entry.amplitude_density.len())
     }
 
-    /// Checks that every gesture is there once and every array fits.
+    /// Checks that every gesture is present once and every array has the right length.
     ///
     /// # Errors
     /// The first fault found.
@@ -163,7 +163,7 @@ impl Profile {
         self.gestures.iter().try_for_each(|entry| entry.check(self.channels(), &self.frequencies_hz))
     }
 
-    /// The entry of `gesture`; [`Profile::check`] has found it to be there.
+    /// The entry of `gesture`; [`Profile::check`] has made sure that it exists.
     pub(crate) fn gesture(&self, gesture: Gesture) -> &GestureProfile {
         self.gestures
             .iter()

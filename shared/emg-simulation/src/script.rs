@@ -8,17 +8,17 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use tendon_gesture::Gesture;
 
-/// Every gesture once. Rest comes first and lasts long enough for the five seconds of rest from which the
-/// threshold strategy takes its baseline.
+/// Every gesture once. Rest comes first and is long enough for the five seconds on which the threshold
+/// strategy calibrates.
 pub const DEFAULT_SCRIPT: &str = "rest 6s, extension 2s, rest 1s, flexion 2s, rest 1s, ulnar 2s, rest 1s, \
                                   radial 2s, rest 1s, grip 2s, rest 1s";
 
-/// One gesture made for a while.
+/// One gesture, held for a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
     /// The gesture made.
     pub gesture: Gesture,
-    /// For how long, more than zero.
+    /// Duration, greater than zero.
     pub duration: Duration,
 }
 
@@ -37,12 +37,12 @@ pub enum ScriptError {
         /// Where the step should begin.
         column: usize,
     },
-    /// A word that names no gesture.
+    /// A word that is not the name of a gesture.
     #[error("script, column {column}: {unknown}")]
     Gesture {
         /// Where the word begins.
         column: usize,
-        /// The word, and the names there are.
+        /// The word, and the known names.
         unknown: tendon_gesture::UnknownGesture,
     },
     /// A gesture without a duration.
@@ -53,7 +53,7 @@ pub enum ScriptError {
         /// The gesture before it.
         gesture: Gesture,
     },
-    /// A duration that is no positive number of `s` or `ms`.
+    /// A duration that is not a positive number of `s` or `ms`.
     #[error(
         "script, column {column}: `{found}` is no duration: expected a number from 0.001 s to 86400 s with its unit, \
          such as `2s` or `1500ms`"
@@ -89,7 +89,7 @@ impl Script {
         Script { steps }
     }
 
-    /// The steps in the order they are made; never empty.
+    /// The steps in their order; never empty.
     pub fn steps(&self) -> &[Step] {
         &self.steps
     }
@@ -127,7 +127,7 @@ impl fmt::Display for Script {
 /// Parses the text between two commas, which begins at `column` of the script.
 fn parse_step(part: &str, column: usize) -> Result<Step, ScriptError> {
     let mut words = part.split_whitespace().map(|word| {
-        // A word is a slice of its part, so the distance between their starts is the word's place in it.
+        // A word is a slice of its part, so the distance between their starts is the position of the word.
         let bytes_before = word.as_ptr() as usize - part.as_ptr() as usize;
         (word, column + part[..bytes_before].chars().count())
     });

@@ -2,14 +2,14 @@
 
 use std::f64::consts::{PI, TAU};
 
-use realfft::num_complex::Complex;
+use tendon_spectrum::Complex;
 
 use crate::profile::{GestureProfile, Matrix, cholesky};
 
 /// Length of a shaping filter: it resolves about 30 Hz, finer than muscle spectra have detail.
 const FILTER_SECONDS: f64 = 0.064;
 
-/// The number of taps is a multiple of this, so that they fill vector registers.
+/// The number of taps is a multiple of this, to fill vector registers.
 pub(crate) const TAPS_MULTIPLE: usize = 32;
 
 /// Taps of a shaping filter at a sample rate.
@@ -17,14 +17,14 @@ pub(crate) fn tap_count(sample_rate_hz: f64) -> usize {
     ((FILTER_SECONDS * sample_rate_hz).ceil() as usize).next_multiple_of(TAPS_MULTIPLE)
 }
 
-/// Designs the filters that turn independent white noises of variance 1, as many as the profile has channels,
-/// into the channels of a gesture. Channel `i` is the sum over `j <= i` of noise `j` through filter
-/// `filter_index(i, j)`; the filters lie one after the other, `[filters][taps]`, each with its last tap first
-/// so that it meets a history with the newest sample last.
+/// Designs the filters that turn independent white noises of variance 1, one per channel of the profile, into
+/// the channels of a gesture. Channel `i` is the sum over `j <= i` of noise `j` through filter
+/// `filter_index(i, j)`; the filters are stored one after the other, `[filters][taps]`, each with its last
+/// tap first, to match a history with the newest sample last.
 ///
 /// At each frequency the channels' cross-spectral matrix `S` is factored as `S = L · Lᴴ` (Cholesky); `L` is
-/// brought into time by the window method (Oppenheim & Schafer, Discrete-Time Signal Processing, section
-/// 7.5). The variance of each channel equals the power of its spectrum below half of the sample rate.
+/// transformed to the time domain by the window method (Oppenheim & Schafer, Discrete-Time Signal Processing,
+/// section 7.5). The variance of each channel equals the power of its spectrum below half of the sample rate.
 pub(crate) fn design(frequencies_hz: &[f64], profile: &GestureProfile, sample_rate_hz: f64) -> Vec<f32> {
     let channels = profile.amplitude_density.len();
     let taps = tap_count(sample_rate_hz);
@@ -73,12 +73,12 @@ pub(crate) fn design(frequencies_hz: &[f64], profile: &GestureProfile, sample_ra
     filters.into_iter().map(|tap| tap as f32).collect()
 }
 
-/// The place of the filter from noise `column` to channel `row`, `column <= row`.
+/// Index of the filter from noise `column` to channel `row`, `column <= row`.
 pub(crate) fn filter_index(row: usize, column: usize) -> usize {
     row * (row + 1) / 2 + column
 }
 
-/// The Cholesky factor of a matrix on the straight way between two checked coherency matrices.
+/// The Cholesky factor of a matrix on the straight line between two checked coherency matrices.
 fn factor_between(low: &Matrix, high: &Matrix, share: f64) -> Matrix {
     let mixed: Matrix = low
         .iter()
@@ -90,7 +90,8 @@ fn factor_between(low: &Matrix, high: &Matrix, share: f64) -> Matrix {
     cholesky(&mixed).expect("between two positive definite matrices all are positive definite")
 }
 
-/// The frequency below `at_hz` and the share of the way to the next; `None` outside the frequencies.
+/// Index of the frequency below `at_hz` and the fraction of the distance to the next; `None` outside the
+/// frequencies.
 fn between(frequencies_hz: &[f64], at_hz: f64) -> Option<(usize, f64)> {
     let above = frequencies_hz.partition_point(|frequency| *frequency < at_hz);
     let below = above.checked_sub(1)?;

@@ -1,4 +1,4 @@
-//! From levels of contraction to the samples an amplifier would give.
+//! From levels of contraction to the samples of an amplifier.
 //!
 //! ```text
 //! white noise ─▶ shape spectra and coherencies ─▶ × level ─┐  (one branch a gesture)
@@ -21,9 +21,10 @@ use crate::shaping;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulationSettings {
-    /// Channels wanted. Beyond those of the profile they begin again at its first, with noise of their own.
+    /// Number of channels. Those beyond the profile's repeat its channels from the first, with noise of their
+    /// own.
     pub channels: usize,
-    /// Samples a second in each channel.
+    /// Sampling rate of each channel, Hz.
     pub sample_rate_hz: f64,
     /// The same seed gives the same samples.
     pub seed: u64,
@@ -37,7 +38,7 @@ pub struct SimulationSettings {
     pub wander_amplitude: f32,
     /// A constant added to every sample: the offset of the amplifier.
     pub offset: f32,
-    /// How often a minute, on average, one channel goes flat; 0 for never.
+    /// How often per minute, on average, one channel goes flat; 0 for never.
     pub dropouts_per_minute: f64,
     /// How long a channel stays flat, in milliseconds.
     pub dropout_ms: f64,
@@ -63,7 +64,7 @@ impl Default for SimulationSettings {
     }
 }
 
-/// Why a simulation cannot be made.
+/// Why a simulation cannot be created.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SimulationError {
     /// The profile is faulty.
@@ -74,14 +75,14 @@ pub enum SimulationError {
     Setting {
         /// The name of the setting.
         key: &'static str,
-        /// What it was given.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// The allowed range.
         range: &'static str,
     },
 }
 
-/// Makes raw EMG samples, block by block. Nothing is allocated once it is constructed.
+/// Generates raw EMG samples, block by block. Allocates nothing once constructed.
 #[derive(Clone, Debug)]
 pub struct SimulatedEmg {
     channels: usize,
@@ -104,7 +105,8 @@ impl SimulatedEmg {
     pub fn new(profile: &Profile, settings: &SimulationSettings) -> Result<SimulatedEmg, SimulationError> {
         profile.check()?;
         settings.check()?;
-        // Each disturbance draws from a stream of its own, so that switching one on changes no other sample.
+        // Each disturbance draws from a random stream of its own, so switching one on does not change the
+        // others.
         let stream = |number: u64| {
             let mut rng = Xoshiro256PlusPlus::seed_from_u64(settings.seed);
             (0..number).for_each(|_| rng.jump());
@@ -130,7 +132,7 @@ impl SimulatedEmg {
     /// by as many.
     ///
     /// # Panics
-    /// If the length of `block` is no multiple of the number of channels.
+    /// If the length of `block` is not a multiple of the number of channels.
     pub fn fill_block(&mut self, performance: &mut Performance, block: &mut [f32]) {
         assert!(
             block.len().is_multiple_of(self.channels),
@@ -176,13 +178,13 @@ impl SimulatedEmg {
     }
 }
 
-/// The last samples of white noise, one noise a channel.
+/// The last samples of white noise, one noise per channel.
 #[derive(Clone, Debug)]
 struct NoiseHistory {
     rng: Xoshiro256PlusPlus,
     taps: usize,
     /// `[channels][2 × taps]`, flat. Written ahead until the end is reached, then moved back to the front, so
-    /// that the newest `taps` samples always lie in one piece.
+    /// that the newest `taps` samples are always contiguous.
     samples: Vec<f32>,
     /// Where in each channel's part the next sample goes.
     next: usize,
@@ -193,7 +195,7 @@ impl NoiseHistory {
         let taps = shaping::tap_count(settings.sample_rate_hz);
         let mut history =
             NoiseHistory { rng, taps, samples: vec![0.0; settings.channels * 2 * taps], next: taps };
-        // The signal is at full strength from the first sample on.
+        // The signal has its full strength from the first sample on.
         (0..taps).for_each(|_| history.advance());
         history
     }
@@ -218,8 +220,8 @@ impl NoiseHistory {
     }
 }
 
-/// Sum of products of two equally long slices, in as many running sums as keep the processor's adders busy,
-/// always in the same order. [`shaping::tap_count`] leaves no remainder.
+/// Sum of products of two equally long slices, always in the same order, with enough running sums to keep the
+/// processor's adders busy. [`shaping::tap_count`] leaves no remainder.
 fn dot(left: &[f32], right: &[f32]) -> f32 {
     let mut sums = [0.0_f32; shaping::TAPS_MULTIPLE];
     let (left, _) = left.as_chunks::<{ shaping::TAPS_MULTIPLE }>();
@@ -229,7 +231,7 @@ fn dot(left: &[f32], right: &[f32]) -> f32 {
             *sum += left * right;
         }
     }
-    // Added up in eights first: one long chain of additions would take as long as all of the above.
+    // Summed in groups of eight first: one long chain of additions would take as long as everything above.
     let mut eight = [0.0_f32; 8];
     for part in sums.chunks_exact(8) {
         eight.iter_mut().zip(part).for_each(|(sum, value)| *sum += value);
@@ -237,12 +239,12 @@ fn dot(left: &[f32], right: &[f32]) -> f32 {
     eight.iter().sum()
 }
 
-/// A sine that reaches every channel with a phase of its own.
+/// A sine with a different phase in every channel.
 #[derive(Clone, Debug)]
 struct Sine {
     turns: f64,
     turns_per_sample: f64,
-    /// Amplitude times cosine and sine of the phase, a channel each.
+    /// Amplitude times cosine and sine of the phase, per channel.
     weights: Vec<(f32, f32)>,
 }
 
@@ -277,7 +279,7 @@ struct Dropouts {
     mean_gap_samples: f64,
     flat_samples: u64,
     gap_left: u64,
-    /// The samples that each channel still stays flat.
+    /// For how many more samples each channel stays flat.
     flat_left: Vec<u64>,
 }
 
@@ -296,7 +298,7 @@ impl Dropouts {
 
     fn draw_gap(&mut self) {
         let gap: f64 = Exp1.sample(&mut self.rng);
-        // An infinite mean, for no dropouts at all, ends as the largest number there is.
+        // An infinite mean, for no dropouts at all, becomes the largest number.
         self.gap_left = (gap * self.mean_gap_samples) as u64;
     }
 
@@ -501,7 +503,7 @@ mod tests {
                     .map(<[f32]>::len),
             );
         }
-        // A dropout that begins within another on the same channel prolongs it, so a few are longer.
+        // A dropout that begins within another one on the same channel prolongs it, so a few are longer.
         let exact = lengths.iter().filter(|length| **length == 40).count();
         assert!(exact * 10 >= lengths.len() * 9, "{lengths:?}");
         assert!((30..=95).contains(&lengths.len()), "{} in a minute", lengths.len());

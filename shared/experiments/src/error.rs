@@ -7,9 +7,10 @@ use std::process::ExitStatus;
 use tendon_classifier::ClassifierError;
 use tendon_dataset::{DatasetError, ListingError, StoredDatasetError};
 use tendon_evaluation::{ScoreError, StrategyError};
-use tendon_figures::FigureError;
 use tendon_gesture::Strategy;
+use tendon_output::{OutputError, OutputErrors};
 use tendon_pipeline::PipelineError;
+use tendon_provenance::ProvenanceError;
 
 /// Why experiments cannot be run, or broke off. Each message says what to do.
 #[derive(Debug, thiserror::Error)]
@@ -59,9 +60,15 @@ pub enum ExperimentError {
     /// A strategy cannot be scored.
     #[error(transparent)]
     Strategy(#[from] StrategyError),
-    /// A figure cannot be drawn.
+    /// A folder cannot be written to.
     #[error(transparent)]
-    Figure(#[from] FigureError),
+    Output(#[from] OutputError),
+    /// Files cannot be written.
+    #[error(transparent)]
+    Outputs(#[from] OutputErrors),
+    /// The recordings cannot be read.
+    #[error(transparent)]
+    Provenance(#[from] ProvenanceError),
     /// The training's script is missing.
     #[error("scripts/train was not found above {}: run this program from the project's folder", .program.display())]
     NoTrainScript {
@@ -101,7 +108,7 @@ pub enum ExperimentError {
         message: String,
     },
     /// The report of a live session that cannot be read.
-    #[error("{} is no report: {reason}", .path.display())]
+    #[error("{} is not a report: {reason}", .path.display())]
     Report {
         /// The file.
         path: PathBuf,

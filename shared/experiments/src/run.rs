@@ -2,9 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::slice::from_ref;
 
 use serde::Serialize;
@@ -13,7 +12,9 @@ use tendon_dataset::{BuildSettings, Manifest, Recording, StoredDataset, list};
 use tendon_evaluation::{Scores, StrategyModels, StrategyScores, score_dataset, score_strategy, with_trials};
 use tendon_figures::write_score_figures;
 use tendon_gesture::{DecisionSettings, Strategy};
+use tendon_output::{OutputFile, OutputFolder, collect};
 use tendon_pipeline::PipelineSettings;
+use tendon_provenance::Provenance;
 use tendon_report::Report;
 use tendon_signal::{FilterSettings, SignalSettings};
 
@@ -49,6 +50,8 @@ pub struct Settings {
     pub runs_live: bool,
     /// ONNX Runtime's shared library.
     pub runtime_library: PathBuf,
+    /// Of the program that runs the experiments.
+    pub provenance: Provenance,
     /// The `tendon` program, for live sessions; `scripts/train` is looked for above it.
     pub program: PathBuf,
 }
@@ -86,6 +89,8 @@ pub struct Results {
     pub live: BTreeMap<&'static str, Report>,
     /// What is missing, and why.
     pub missing: Vec<String>,
+    /// Program, machine and hashes of the recordings; each data set, score and live session has its own as well.
+    pub provenance: Provenance,
 }
 
 /// Recordings that the experiments are made on.
@@ -112,22 +117,17 @@ pub fn run(settings: &Settings, on_event: &mut dyn FnMut(Event<'_>)) -> Result<P
     for source in &sources {
         on_event(Event::Line(format!("== {}: {}", source.name, source.recordings.display())));
         let out = settings.out.join(source.folder);
-        results.push(Run { settings, source, out, on_event }.all()?);
+        let provenance = settings.provenance.clone().with_recording(from_ref(&source.recordings))?;
+        results.push(Run { settings, source, out, provenance, on_event }.all()?);
     }
     let path = settings.out.join("report.md");
-    write(&path, report::text(&Paper::results(), &results).as_bytes())?;
+    let text = report::text(&Paper::results(), &results);
     let json_path = settings.out.join("report.json");
-    let json = serde_json::to_vec_pretty(&results)
-        .map_err(|error| ExperimentError::Write { path: json_path.clone(), reason: error.into() })?;
-    write(&json_path, &json)?;
+    collect([
+        OutputFile::check(&path).and_then(|file| file.write_bytes(text.as_bytes())),
+        OutputFile::check(&json_path).and_then(|file| file.write_json(&results)),
+    ])?;
     Ok(path)
-}
-
-fn write(path: &Path, content: &[u8]) -> Result<(), ExperimentError> {
-    let unfinished = path.with_extension("unfinished");
-    fs::write(&unfinished, content)
-        .and_then(|()| fs::rename(&unfinished, path))
-        .map_err(|reason: io::Error| ExperimentError::Write { path: path.to_owned(), reason })
 }
 
 fn sources(settings: &Settings) -> Result<Vec<Source>, ExperimentError> {
@@ -171,6 +171,7 @@ struct Run<'a> {
     source: &'a Source,
     /// Folder of its results.
     out: PathBuf,
+    provenance: Provenance,
     on_event: &'a mut dyn FnMut(Event<'_>),
 }
 
@@ -187,6 +188,7 @@ impl Run<'_> {
             strategies: BTreeMap::new(),
             live: BTreeMap::new(),
             missing: Vec::new(),
+            provenance: self.provenance.clone(),
         };
         for plan in &DATASETS {
             results.datasets.insert(plan.name, self.build(plan)?);
@@ -222,7 +224,8 @@ impl Run<'_> {
         }
         self.say(format!("data set {}", plan.name));
         let test_people = self.source.test_people.clone();
-        let building = BuildSettings { test_people, ..BuildSettings::default() };
+        let building =
+            BuildSettings { test_people, provenance: self.provenance.clone(), ..BuildSettings::default() };
         let mut progress = |progress: tendon_dataset::Progress<'_>| {
             (self.on_event)(Event::Dataset(progress));
             ControlFlow::Continue(())
@@ -239,7 +242,8 @@ impl Run<'_> {
         let mut progress = |done, total| (self.on_event)(Event::Progress { done, total, things: "windows" });
         let (scores, tally) = score_dataset(classifier, &dataset, &[], &mut progress)?;
         self.say(format!("{}: accuracy {:.4}", training.name(), scores.evaluation.accuracy));
-        write_score_figures(&self.out.join("figures"), &model, &tally)?;
+        let folder = OutputFolder::check(&self.out.join("figures"))?;
+        collect(write_score_figures(&folder, &model, &tally))?;
         Ok(scores)
     }
 

@@ -10,9 +10,10 @@ use plotters::prelude::{
     BitMapBackend, DrawingArea, DrawingBackend, FontStyle, IntoDrawingArea, SVGBackend, WHITE,
 };
 use plotters::style::register_font;
+use tendon_output::{OutputError, OutputFile};
 
 /// Why a figure could not be made.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum FigureError {
     /// Neither of the endings.
     #[error("{}: a figure is a .png or an .svg file", path.display())]
@@ -20,17 +21,35 @@ pub enum FigureError {
         /// The file.
         path: PathBuf,
     },
-    /// It could not be drawn or written.
-    #[error("{}: cannot write the figure: {reason}", path.display())]
-    Write {
+    /// It could not be drawn.
+    #[error("{}: cannot draw the figure: {reason}", path.display())]
+    Draw {
         /// The file.
         path: PathBuf,
         /// The drawing library's word.
         reason: String,
     },
+    /// It could not be written.
+    #[error(transparent)]
+    Write(#[from] OutputError),
+}
+
+impl From<FigureError> for OutputError {
+    fn from(error: FigureError) -> OutputError {
+        match error {
+            FigureError::Write(error) => error,
+            FigureError::Ending { path } => {
+                OutputError::Content { path, reason: "a figure is a .png or an .svg file".to_owned() }
+            }
+            FigureError::Draw { path, reason } => OutputError::Content { path, reason },
+        }
+    }
 }
 
 pub(crate) const FONT: &str = "sans-serif";
+
+/// Bytes of a pixel: red, green, blue.
+const PIXEL: usize = 3;
 
 /// Something that can be drawn on either kind of file.
 pub(crate) trait Figure {
@@ -39,15 +58,33 @@ pub(crate) trait Figure {
         B::ErrorType: 'static;
 }
 
+/// Draws in memory, then writes the file as a whole.
 pub(crate) fn draw(path: &Path, size: (u32, u32), figure: &impl Figure) -> Result<(), FigureError> {
-    let write_error = |reason: String| FigureError::Write { path: path.to_owned(), reason };
-    register_fonts().map_err(write_error)?;
-    let drawn = match path.extension().and_then(|ending| ending.to_str()) {
-        Some("png") => finish(figure, &BitMapBackend::new(path, size).into_drawing_area()),
-        Some("svg") => finish(figure, &SVGBackend::new(path, size).into_drawing_area()),
+    let draw_error = |reason: String| FigureError::Draw { path: path.to_owned(), reason };
+    register_fonts().map_err(draw_error)?;
+    let content = match path.extension().and_then(|ending| ending.to_str()) {
+        Some("png") => png(size, figure).map_err(draw_error)?,
+        Some("svg") => {
+            let mut content = String::new();
+            finish(figure, &SVGBackend::with_string(&mut content, size).into_drawing_area())
+                .map_err(draw_error)?;
+            content.into_bytes()
+        }
         _ => return Err(FigureError::Ending { path: path.to_owned() }),
     };
-    drawn.map_err(write_error)
+    Ok(OutputFile::check(path)?.write_bytes(&content)?)
+}
+
+fn png(size: (u32, u32), figure: &impl Figure) -> Result<Vec<u8>, String> {
+    let (width, height) = size;
+    let mut pixels = vec![0; width as usize * height as usize * PIXEL];
+    finish(figure, &BitMapBackend::with_buffer(&mut pixels, size).into_drawing_area())?;
+    let mut content = Vec::new();
+    let mut encoder = png::Encoder::new(&mut content, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().and_then(|mut image| image.write_image_data(&pixels)).map_err(text)?;
+    Ok(content)
 }
 
 fn finish<B: DrawingBackend>(figure: &impl Figure, area: &DrawingArea<B, Shift>) -> Result<(), String>

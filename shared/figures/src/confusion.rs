@@ -128,6 +128,6 @@ mod tests {
             &confusion(),
         )
         .unwrap_err();
-        assert!(missing.to_string().starts_with("/nowhere/x.png: cannot write the figure"));
+        assert!(missing.to_string().starts_with("/nowhere/x.png: there is no folder /nowhere"));
     }
 }

@@ -1,4 +1,5 @@
-//! The picture of a target-zone task: zones, the arm's way and the workspace, from above and from the front.
+//! The picture of a target-zone task: zones, the arm's path and the workspace, seen from in front of the arm. No gesture
+//! moves along x, so all of it lies in one plane: from above there would be a line only.
 
 use std::ops::Range;
 use std::path::Path;
@@ -8,43 +9,47 @@ use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::{
     BLACK, Cartesian2d, ChartBuilder, ChartContext, Circle, Color, DrawingArea, DrawingBackend, IntoFont,
-    PathElement, RGBColor, Rectangle, Text, WHITE,
+    PathElement, RGBColor, Rectangle, ShapeStyle, Text, WHITE,
 };
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use tendon_zones::{TaskReport, Workspace, ZoneScore, ZoneShape, ZoneTask};
 
 use crate::canvas::{FONT, Figure, FigureError, draw, text};
 
-/// Pixels a mm, the same in both views and directions.
+/// Pixels a mm, the same in both directions.
 const SCALE: f64 = 1.4;
 /// Room for the labels of an axis, pixels.
 const LABELS: u32 = 56;
 /// Room around everything, pixels.
 const MARGIN: u32 = 16;
-/// Room for the title of a view, pixels.
+/// Room for the title, pixels.
 const CAPTION: u32 = 36;
+/// Room for the line that explains colours and marks, pixels.
+const LEGEND: u32 = 28;
 /// Room around the workspace, mm.
 const BORDER_MM: f64 = 20.0;
 /// A point so near to the straight line between others, mm, is not drawn.
 const STRAIGHT_MM: f64 = 0.5;
-/// Points of the way in one straight piece, at most: bounds the work on a way that never leaves its place.
+/// Points of the path in one straight piece, at most: bounds the work on a path that never leaves its place.
 const LONGEST_PIECE: usize = 1000;
 const REACHED: RGBColor = RGBColor(0, 140, 60);
 const MISSED: RGBColor = RGBColor(200, 40, 30);
-const WAY: RGBColor = RGBColor(33, 113, 181);
+/// Radius of a mark, pixels.
+const MARK: i32 = 6;
+const PATH: RGBColor = RGBColor(33, 113, 181);
 
 /// Draws the zones of a task, reached ones in green and missed ones in red, numbered as they appeared, the arm's
-/// way (blue, from the circle to the dot) and the workspace (the frame): seen from above, and from the front, where
-/// the motion is. The arm stands beyond x = 0.
+/// path (blue, from the circle to the dot) and the workspace (the frame). The view is from in front of the arm: y to
+/// the right, z up.
 ///
 /// # Errors
 ///
 /// [`FigureError`], naming the file.
 pub fn zones_figure(path: &Path, task: &ZoneTask, report: &TaskReport) -> Result<(), FigureError> {
     let picture = Zones { task, report };
-    let [x_mm, y_mm, z_mm] = picture.ranges_mm();
-    let width = pixels(&y_mm) + LABELS + 2 * MARGIN;
-    draw(path, (width, height(&x_mm) + height(&z_mm)), &picture)
+    let [y_mm, z_mm] = picture.ranges_mm();
+    let size = (pixels(&y_mm) + LABELS + 2 * MARGIN, pixels(&z_mm) + LABELS + CAPTION + LEGEND + 2 * MARGIN);
+    draw(path, size, &picture)
 }
 
 /// Labels of an axis: one every 100 mm.
@@ -56,92 +61,78 @@ fn pixels(range_mm: &Range<f64>) -> u32 {
     (SCALE * (range_mm.end - range_mm.start)).round() as u32
 }
 
-/// Height of a view whose upward coordinate has this range.
-fn height(range_mm: &Range<f64>) -> u32 {
-    pixels(range_mm) + LABELS + CAPTION + 2 * MARGIN
-}
-
 struct Zones<'a> {
     task: &'a ZoneTask,
     report: &'a TaskReport,
 }
 
-/// A view: which coordinate is drawn upwards; y is drawn to the right in both.
-#[derive(Clone, Copy)]
-struct View {
-    title: &'static str,
-    label: &'static str,
-    upwards: fn(DVec3) -> f64,
-}
-
-const TOP: View = View { title: "top view", label: "x, mm", upwards: |position_mm| position_mm.x };
-const FRONT: View = View { title: "side view", label: "z, mm", upwards: |position_mm| position_mm.z };
-
 type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-impl Zones<'_> {
-    /// Ranges of x, y and z that hold the workspace and the whole way.
-    fn ranges_mm(&self) -> [Range<f64>; 3] {
-        let Workspace { min_mm, max_mm } = *self.task.workspace();
-        let way = self.task.trajectory_mm();
-        let low_mm = way.iter().fold(min_mm, |low, position| low.min(*position)) - BORDER_MM;
-        let high_mm = way.iter().fold(max_mm, |high, position| high.max(*position)) + BORDER_MM;
-        [low_mm.x..high_mm.x, low_mm.y..high_mm.y, low_mm.z..high_mm.z]
-    }
-
-    fn draw_view<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, view: View) -> Result<(), String>
+impl Figure for Zones<'_> {
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String>
     where
         B::ErrorType: 'static,
     {
-        let [x_mm, y_mm, z_mm] = self.ranges_mm();
-        let upwards_mm = (view.upwards)(DVec3::new(x_mm.start, 0.0, z_mm.start))
-            ..(view.upwards)(DVec3::new(x_mm.end, 0.0, z_mm.end));
+        let [y_mm, z_mm] = self.ranges_mm();
         let TaskReport { name, zones_reached, zones_timed_out, .. } = self.report;
-        let title =
-            format!("{name}, {}: {zones_reached} zones reached, {zones_timed_out} timed out", view.title);
-        let mut chart = ChartBuilder::on(area)
+        let title = format!("{name}, front view: {zones_reached} zones reached, {zones_timed_out} timed out");
+        let (_, height) = area.dim_in_pixel();
+        let (chart_area, legend_area) = area.split_vertically(height - LEGEND);
+        let mut chart = ChartBuilder::on(&chart_area)
             .caption(title, (FONT, 20))
             .margin(MARGIN)
             .x_label_area_size(LABELS)
             .y_label_area_size(LABELS)
-            .build_cartesian_2d(y_mm, upwards_mm.clone())
+            .build_cartesian_2d(y_mm.clone(), z_mm.clone())
             .map_err(text)?;
         chart
             .configure_mesh()
             .light_line_style(WHITE)
-            .x_labels(ticks(&self.ranges_mm()[1]))
-            .y_labels(ticks(&upwards_mm))
+            .x_labels(ticks(&y_mm))
+            .y_labels(ticks(&z_mm))
             .x_label_formatter(&|mm| format!("{mm:.0}"))
             .y_label_formatter(&|mm| format!("{mm:.0}"))
             .bold_line_style(BLACK.mix(0.08))
             .x_desc("y, mm")
-            .y_desc(view.label)
+            .y_desc("z, mm")
             .label_style((FONT, 14))
             .axis_desc_style((FONT, 16))
             .draw()
             .map_err(text)?;
-        self.draw_workspace(&mut chart, view)?;
-        self.draw_zones(&mut chart, view)?;
-        self.draw_way(&mut chart, view)
+        self.draw_workspace(&mut chart)?;
+        self.draw_zones(&mut chart)?;
+        self.draw_path(&mut chart)?;
+        self.draw_numbers(&mut chart)?;
+        draw_legend(&legend_area)
+    }
+}
+
+impl Zones<'_> {
+    /// Ranges of y and z that hold the workspace and the whole path.
+    fn ranges_mm(&self) -> [Range<f64>; 2] {
+        let Workspace { min_mm, max_mm } = *self.task.workspace();
+        let path = self.task.trajectory_mm();
+        let low_mm = path.iter().fold(min_mm, |low, position| low.min(*position)) - BORDER_MM;
+        let high_mm = path.iter().fold(max_mm, |high, position| high.max(*position)) + BORDER_MM;
+        [low_mm.y..high_mm.y, low_mm.z..high_mm.z]
     }
 
-    fn draw_workspace<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), String>
+    fn draw_workspace<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
     where
         B::ErrorType: 'static,
     {
         let Workspace { min_mm, max_mm } = *self.task.workspace();
-        let corners = [(min_mm.y, (view.upwards)(min_mm)), (max_mm.y, (view.upwards)(max_mm))];
+        let corners = [(min_mm.y, min_mm.z), (max_mm.y, max_mm.z)];
         chart.draw_series([Rectangle::new(corners, BLACK.stroke_width(2))]).map_err(text).map(|_| ())
     }
 
-    fn draw_zones<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), String>
+    fn draw_zones<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
     where
         B::ErrorType: 'static,
     {
         let half_mm = self.report.width_mm / 2.0;
         for zone in &self.report.zones {
-            let centre_mm = DVec3::from(zone.centre_mm);
-            let (across, up) = (centre_mm.y, (view.upwards)(centre_mm));
+            let [_, across, up] = zone.centre_mm;
             let colour = colour(zone);
             match self.report.shape {
                 ZoneShape::Sphere => {
@@ -167,36 +158,35 @@ impl Zones<'_> {
         Ok(())
     }
 
-    fn draw_way<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), String>
+    fn draw_path<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
     where
         B::ErrorType: 'static,
     {
-        let flat = |position_mm: &DVec3| DVec2::new(position_mm.y, (view.upwards)(*position_mm));
-        let way = straightened(&self.task.trajectory_mm().iter().map(flat).collect::<Vec<_>>());
+        let flat = |position_mm: &DVec3| DVec2::new(position_mm.y, position_mm.z);
+        let path = straightened(&self.task.trajectory_mm().iter().map(flat).collect::<Vec<_>>());
         // Piece by piece: plotters gives a path that turns back on itself no width.
-        let pieces = way
-            .windows(2)
-            .map(|ends| PathElement::new([<(f64, f64)>::from(ends[0]), ends[1].into()], WAY.stroke_width(2)));
+        let pieces = path.windows(2).map(|ends| {
+            PathElement::new([<(f64, f64)>::from(ends[0]), ends[1].into()], PATH.stroke_width(2))
+        });
         chart.draw_series(pieces).map_err(text)?;
-        let [start, end] = [way.first(), way.last()].map(|end| end.copied().unwrap_or_default().into());
+        let [start, end] = [path.first(), path.last()].map(|end| end.copied().unwrap_or_default().into());
         chart
-            .draw_series([Circle::new(start, 6, WAY.stroke_width(2)), Circle::new(end, 6, WAY.filled())])
-            .map_err(text)?;
-        // From above all zones lie on one line: their numbers would cover each other.
-        if view.label == FRONT.label {
-            self.draw_numbers(chart, view)?;
-        }
-        Ok(())
+            .draw_series([
+                Circle::new(start, MARK, PATH.stroke_width(2)),
+                Circle::new(end, MARK, PATH.filled()),
+            ])
+            .map_err(text)
+            .map(|_| ())
     }
 
-    fn draw_numbers<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), String>
+    fn draw_numbers<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
     where
         B::ErrorType: 'static,
     {
         let numbers = self.report.zones.iter().enumerate().map(|(index, zone)| {
-            let centre_mm = DVec3::from(zone.centre_mm);
-            // Near the upper edge, since the way mostly ends in the middle.
-            let place = (centre_mm.y, (view.upwards)(centre_mm) + 0.3 * self.report.width_mm);
+            let [_, across, up] = zone.centre_mm;
+            // Near the upper edge, since the path mostly ends in the middle.
+            let place = (across, up + 0.3 * self.report.width_mm);
             let style = (FONT, 14).into_font().color(&colour(zone)).pos(Pos::new(HPos::Center, VPos::Center));
             Text::new((index + 1).to_string(), place, style)
         });
@@ -204,33 +194,49 @@ impl Zones<'_> {
     }
 }
 
-impl Figure for Zones<'_> {
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String>
-    where
-        B::ErrorType: 'static,
-    {
-        let [x_mm, ..] = self.ranges_mm();
-        let (top, front) = area.split_vertically(height(&x_mm));
-        self.draw_view(&top, TOP)?;
-        self.draw_view(&front, FRONT)
-    }
+/// One line below the chart: what colours and marks mean.
+fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>) -> Result<(), String>
+where
+    B::ErrorType: 'static,
+{
+    let (width, height) = area.dim_in_pixel();
+    let middle = height as i32 / 2 - 6;
+    let entry = |index: u32| (LABELS + MARGIN + index * (width - LABELS) / 5) as i32;
+    let write = |index: u32, content: &'static str| {
+        let style = (FONT, 14).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
+        area.draw(&Text::new(content, (entry(index) + MARK + 6, middle), style)).map_err(text)
+    };
+    let circle = |index: u32, style: ShapeStyle| {
+        area.draw(&Circle::new((entry(index), middle), MARK, style)).map_err(text)
+    };
+    circle(0, REACHED.stroke_width(1))?;
+    write(0, "zone reached")?;
+    circle(1, MISSED.stroke_width(1))?;
+    write(1, "zone timed out")?;
+    circle(2, PATH.stroke_width(2))?;
+    write(2, "path begins")?;
+    circle(3, PATH.filled())?;
+    write(3, "path ends")?;
+    let frame = [(entry(4) - MARK, middle - MARK), (entry(4) + MARK, middle + MARK)];
+    area.draw(&Rectangle::new(frame, BLACK.stroke_width(2))).map_err(text)?;
+    write(4, "workspace")
 }
 
-/// The way without the points that lie within [`STRAIGHT_MM`] of the straight line between their neighbours.
-fn straightened(way: &[DVec2]) -> Vec<DVec2> {
-    let Some(first) = way.first() else { return Vec::new() };
+/// The path without the points that lie within [`STRAIGHT_MM`] of the straight line between their neighbours.
+fn straightened(path: &[DVec2]) -> Vec<DVec2> {
+    let Some(first) = path.first() else { return Vec::new() };
     let mut kept = vec![*first];
     let mut anchor = 0;
-    for next in 1..way.len() {
-        let between = &way[anchor + 1..next];
+    for next in 1..path.len() {
+        let between = &path[anchor + 1..next];
         let is_straight =
-            between.iter().all(|point| distance_to_piece(*point, way[anchor], way[next]) <= STRAIGHT_MM);
+            between.iter().all(|point| distance_to_piece(*point, path[anchor], path[next]) <= STRAIGHT_MM);
         if !is_straight || between.len() >= LONGEST_PIECE {
             anchor = next - 1;
-            kept.push(way[anchor]);
+            kept.push(path[anchor]);
         }
     }
-    kept.extend(way[1..].last());
+    kept.extend(path[1..].last());
     kept
 }
 
@@ -277,9 +283,11 @@ mod tests {
             let svg = folder.path().join("zones.svg");
             zones_figure(&svg, &task, &report).unwrap();
             let content = std::fs::read_to_string(&svg).unwrap();
-            for part in ["top view", "side view", "x, mm", "y, mm", "z, mm", "zones reached"] {
+            for part in ["front view", "y, mm", "z, mm", "zones reached", "path begins"] {
                 assert!(content.contains(part), "`{part}` is not in the figure");
             }
+            // All lies in one plane across x, so no other view has anything to show.
+            assert!(!content.contains("top view") && !content.contains("x, mm"));
             let png = folder.path().join("zones.png");
             zones_figure(&png, &task, &report).unwrap();
             assert!(std::fs::read(&png).unwrap().starts_with(b"\x89PNG"));

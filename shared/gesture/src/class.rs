@@ -10,7 +10,7 @@ use crate::{Gesture, UnknownGesture};
 pub enum Class {
     /// One gesture, which may be rest.
     Gesture(Gesture),
-    /// Any of the five active gestures: what the first stage of the two-stage strategy tells from rest.
+    /// Any of the five active gestures, which the first stage of the two-stage strategy separates from rest.
     Move,
 }
 
@@ -26,7 +26,7 @@ impl Class {
         }
     }
 
-    /// Whether `gesture` is of this class.
+    /// Whether `gesture` belongs to this class.
     pub fn includes(self, gesture: Gesture) -> bool {
         match self {
             Class::Gesture(own) => own == gesture,

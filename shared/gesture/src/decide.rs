@@ -1,4 +1,4 @@
-//! From the probabilities of a window to what the arm is to do (paper sections "Muscle Activation Detection
+//! From the probabilities of a window to what the arm should do (paper sections "Muscle Activation Detection
 //! Strategies" and "Simulations and Implementation on the Robotic Arm").
 
 use clap::ValueEnum;
@@ -11,14 +11,14 @@ use crate::Gesture;
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Strategy {
-    /// Strategy (a): the activity detector tells rest from movement, the classifier only which of the five
-    /// active gestures it is.
+    /// Strategy (a): the activity detector separates rest from movement; the classifier only decides which of
+    /// the five active gestures it is.
     Threshold,
-    /// Strategy (b): a first classifier tells rest from movement, a second one which of the five active gestures it
-    /// is; the activity detector is not asked.
+    /// Strategy (b): a first classifier separates rest from movement, a second one decides which of the five
+    /// active gestures it is. The activity detector is not used.
     #[value(alias = "two-stage")]
     TwoStage,
-    /// Strategy (c): the classifier knows all six classes; the activity detector is not asked.
+    /// Strategy (c): the classifier knows all six classes. The activity detector is not used.
     Direct,
 }
 
@@ -36,7 +36,8 @@ impl Strategy {
     }
 }
 
-/// Settings of the decision stage. The defaults are the paper's; the speed is ours, as the paper names none.
+/// Settings of the decision stage. The defaults are the paper's, except for the speed, which the paper does
+/// not give.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DecisionSettings {
@@ -103,14 +104,14 @@ impl DecisionSettings {
 const MAXIMUM_VOTES: usize = 15;
 const MAXIMUM_GRIPS: u32 = 100;
 
-/// What is known of a window when it is decided upon.
+/// What is known of a window when the decision is made.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
     /// Probability of every gesture, by class number.
     pub probabilities: &'a [f32; Gesture::COUNT],
     /// The activity detector says that the muscles are active.
     pub moving: bool,
-    /// The window's samples are whole: none had to be replaced.
+    /// The window is intact: none of its samples had to be replaced.
     pub intact: bool,
     /// When the window was captured, in ns of any steady clock.
     pub captured_ns: u64,
@@ -121,17 +122,17 @@ pub struct Evidence<'a> {
 pub struct Decision {
     /// This window's gesture, before the vote.
     pub gesture: Gesture,
-    /// Its probability; 1 where no classifier was asked.
+    /// Its probability; 1 if no classifier was asked.
     pub confidence: f32,
     /// The gesture acted on, after the vote.
     pub voted: Gesture,
     /// Linear velocity in the arm's base frame, mm/s along x, y, z.
     pub velocity_mm_per_s: [f64; 3],
-    /// Whether the gripper is to change sides: from open to closed or back, which only the arm's side knows.
+    /// Whether to toggle the gripper. Only the robot knows whether that means open or close.
     pub toggles_gripper: bool,
 }
 
-/// The decision stage: keeps the last votes and when the gripper was last toggled.
+/// The decision stage: remembers the last votes and when the gripper was last toggled.
 #[derive(Clone, Debug)]
 pub struct Decider {
     settings: DecisionSettings,
@@ -158,7 +159,7 @@ impl Decider {
         })
     }
 
-    /// Decides upon the next window.
+    /// Decides on the next window.
     pub fn decide(&mut self, evidence: &Evidence<'_>) -> Decision {
         let (gesture, confidence) = self.recognise(evidence);
         self.votes[self.next_vote] = gesture;
@@ -174,7 +175,7 @@ impl Decider {
         }
     }
 
-    /// Forgets the votes: windows are missing, so the last ones say nothing about now.
+    /// Discards the votes: windows are missing, so the last ones say nothing about the present.
     pub fn restart(&mut self) {
         self.votes = [Gesture::Rest; MAXIMUM_VOTES];
         self.grips_in_a_row = 0;
@@ -199,7 +200,7 @@ impl Decider {
 
     fn toggles_gripper(&mut self, captured_ns: u64) -> bool {
         let interval_ns = (self.settings.grip_interval_s * 1e9) as u64;
-        // A time before that of the last toggle is of a source that began anew.
+        // A time before the last toggle comes from a source that started anew.
         let elapsed_ns = self.toggled_ns.and_then(|toggled_ns| captured_ns.checked_sub(toggled_ns));
         let too_soon = elapsed_ns.is_some_and(|elapsed_ns| elapsed_ns < interval_ns);
         if self.grips_in_a_row < self.settings.grip_windows || too_soon {
@@ -211,8 +212,8 @@ impl Decider {
     }
 }
 
-/// The gesture that more than half of the votes name. Without such a majority: rest, because an arm that
-/// waits does less harm than one that guesses.
+/// The gesture with more than half of the votes. Rest without such a majority, because an arm that waits does
+/// less harm than one that guesses.
 fn majority(votes: &[Gesture]) -> Gesture {
     Gesture::ALL
         .into_iter()

@@ -67,7 +67,7 @@ impl fmt::Display for Gesture {
     }
 }
 
-/// A gesture name that is none of ours.
+/// An unknown gesture name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown gesture `{0}`: use rest, extension, flexion, ulnar, radial or grip")]
 pub struct UnknownGesture(pub String);

@@ -1,4 +1,4 @@
-//! Gestures, and what turns a stream of class probabilities into intentions.
+//! Gestures, and the decisions that turn a stream of class probabilities into intentions.
 //!
 //! ```text
 //! probabilities ─▶ strategy ─▶ gesture ─▶ vote of three ─┬─▶ velocity map ─▶ velocity

@@ -85,6 +85,8 @@ struct StageMeasurements {
     /// Sequence number of the message that the process before would have taken next, until its successor takes one.
     expected_sequence: Option<u64>,
     newest: MeasurementHeader,
+    /// Batches missing between others, by their sequence numbers.
+    lost_batches: u64,
     /// Allocations of the process when it was warm; `None` before.
     allocations_when_warm: Option<u64>,
     /// Allocations of the process since, as long as the session ran.
@@ -123,6 +125,7 @@ impl Default for SessionMeasurements {
             before_restart: Counts::default(),
             expected_sequence: None,
             newest: MeasurementHeader::default(),
+            lost_batches: 0,
             allocations_when_warm: None,
             allocations: 0,
         };
@@ -152,6 +155,9 @@ impl SessionMeasurements {
             }
             kept.process_id = header.process_id;
             kept.allocations_when_warm = None;
+        } else {
+            let next = kept.newest.trace.sequence + 1;
+            kept.lost_batches += header.trace.sequence.saturating_sub(next);
         }
         kept.newest = *header;
         if let (Some(expected), 1..) = (kept.expected_sequence, header.received) {
@@ -209,6 +215,11 @@ impl SessionMeasurements {
     pub fn counts(&self, stage: Stage) -> Counts {
         let kept = &self.stages[stage.index()];
         kept.before_restart.plus(&kept.newest)
+    }
+
+    /// Batches of measurements that came too fast to be gathered.
+    pub fn lost_batches(&self) -> u64 {
+        self.stages.iter().map(|stage| stage.lost_batches).sum()
     }
 
     /// Upstream's publish to this stage's receive.
@@ -286,6 +297,21 @@ mod tests {
         session.absorb(&header(Stage::Dsp, 1, 20, 3), &[]);
         session.absorb(&header(Stage::Dsp, 2, 5, 1), &[]);
         assert_eq!(session.counts(Stage::Dsp), Counts { received: 25, published: 4, ..Counts::default() });
+    }
+
+    #[test]
+    fn a_batch_that_is_missing_between_others_is_counted() {
+        let mut session = SessionMeasurements::default();
+        let mut numbered = |process_id, sequence| {
+            let mut batch = header(Stage::Dsp, process_id, 0, 0);
+            batch.trace.sequence = sequence;
+            session.absorb(&batch, &[]);
+        };
+        // An observer that joins late has missed nothing, nor has a process that begins anew.
+        for (process_id, sequence) in [(1, 7), (1, 8), (1, 11), (2, 0), (2, 1), (2, 3)] {
+            numbered(process_id, sequence);
+        }
+        assert_eq!(session.lost_batches(), 3);
     }
 
     #[test]

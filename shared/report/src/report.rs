@@ -7,6 +7,7 @@ use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_messages::Stage;
+use tendon_provenance::Provenance;
 use tendon_zones::TaskReport;
 
 use crate::measurements::{SessionMeasurements, Summary};
@@ -47,6 +48,9 @@ pub struct Report {
     pub skipped_blocks: u64,
     /// Samples that were NaN or infinite and replaced.
     pub replaced_samples: u64,
+    /// Batches of measurements that came too fast to be gathered. Their messages are in `messages`, but in no latency.
+    #[serde(default)]
+    pub lost_measurement_batches: u64,
     /// Heap allocations of every stage since it was warm (those of ONNX Runtime itself not counted).
     pub allocations: BTreeMap<String, u64>,
     /// How well gestures were recognised, by the truth that travels beside the samples.
@@ -66,6 +70,9 @@ pub struct Report {
     pub memory_mb: BTreeMap<String, f64>,
     /// Where the arm ended, mm in its base frame.
     pub final_position_mm: [f64; 3],
+    /// Program, machine, settings, models and recording.
+    #[serde(default)]
+    pub provenance: Provenance,
 }
 
 /// What a session knows of itself beside what its stages measured.
@@ -97,6 +104,8 @@ pub struct SessionFacts {
     pub memory_mb: BTreeMap<String, f64>,
     /// Where the arm ended, mm in its base frame.
     pub final_position_mm: [f64; 3],
+    /// Program, machine, settings, models and recording.
+    pub provenance: Provenance,
 }
 
 /// Transit of a hop.
@@ -298,6 +307,7 @@ impl Report {
             messages: messages.collect(),
             skipped_blocks: measurements.counts(Stage::Acquisition).stale,
             replaced_samples: measurements.counts(Stage::Dsp).replaced_samples,
+            lost_measurement_batches: measurements.lost_batches(),
             allocations: Stage::ALL
                 .into_iter()
                 .map(|stage| (stage.name().to_owned(), measurements.allocations(stage)))
@@ -309,6 +319,7 @@ impl Report {
             cpu_s: facts.cpu_s,
             memory_mb: facts.memory_mb,
             final_position_mm: facts.final_position_mm,
+            provenance: facts.provenance,
         }
     }
 }
@@ -349,6 +360,60 @@ mod tests {
         assert_eq!(json["recognition"]["windows"], 2);
         assert_eq!(json["recognition"]["correct"], 1);
         assert_eq!(json["recognition"]["per_gesture"]["extension"]["recognised_as"]["grip"], 1);
+        let all = [
+            "session",
+            "duration_s",
+            "source",
+            "robot",
+            "model",
+            "strategy",
+            "scheduling",
+            "hops",
+            "work",
+            "newest_sample_to_command",
+            "window_start_to_command",
+            "control_tick",
+            "command_to_wire",
+            "messages",
+            "skipped_blocks",
+            "replaced_samples",
+            "allocations",
+            "recognition",
+            "restarts",
+            "cpu_s",
+            "memory_mb",
+            "final_position_mm",
+            "provenance",
+        ];
+        for key in all {
+            assert!(json.get(key).is_some(), "`{key}` is missing");
+        }
+        for key in ["count", "p50_us", "p99_us", "p999_us", "max_us"] {
+            assert!(json["work"][0][key].is_number() && json["control_tick"][key].is_number(), "`{key}`");
+        }
+        for key in ["count", "mean_ms", "sd_ms", "min_ms", "median_ms", "max_ms"] {
+            assert!(json["window_start_to_command"][key].is_number(), "`{key}`");
+        }
+        assert!(json.get("replay_x_real_time").is_none() && json.get("task").is_none());
         assert!(report.table().contains("recognition  1 of 2 windows inside a gesture (50.0 %)"));
+    }
+    #[test]
+    fn a_report_goes_through_json_unchanged() {
+        let mut report = Report::new(SessionFacts::default(), &SessionMeasurements::default());
+        report.provenance = Provenance::begin(tendon_provenance::Program { version: "1", commit: "2" });
+        report.final_position_mm = [386.123_456, -0.1, 1.0 / 3.0];
+        report.replay_x_real_time = Some(1234.5);
+        let text = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<Report>(&text).unwrap(), report);
+    }
+
+    #[test]
+    fn what_is_no_number_is_null_in_json() {
+        let mut report = Report::new(SessionFacts::default(), &SessionMeasurements::default());
+        report.cpu_s.insert("dsp".to_owned(), f64::NAN);
+        report.duration_s = f64::INFINITY;
+        let json = serde_json::to_value(&report).unwrap();
+        assert!(json["cpu_s"]["dsp"].is_null() && json["duration_s"].is_null());
+        assert!(!serde_json::to_string(&report).unwrap().contains("NaN"));
     }
 }

@@ -74,6 +74,13 @@ impl Report {
         if self.skipped_blocks > 0 {
             writeln!(out, "source  could not keep up and left out {} blocks", self.skipped_blocks)?;
         }
+        if self.lost_measurement_batches > 0 {
+            writeln!(
+                out,
+                "measurements  {} batches came too fast to be gathered: the latencies lack their messages",
+                self.lost_measurement_batches
+            )?;
+        }
         if self.replaced_samples > 0 {
             writeln!(out, "samples  {} were NaN or infinite and were replaced", self.replaced_samples)?;
         }

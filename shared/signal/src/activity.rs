@@ -1,4 +1,4 @@
-//! Rest or movement: the paper's strategy (a), a threshold on the envelope that a calibration at rest sets.
+//! Rest or movement: the paper's strategy (a), a threshold on the envelope, set by a calibration at rest.
 //!
 //! ```text
 //! envelope ─▶ calibration: the first 5 s, at rest        threshold = median + k σ, σ = 1.4826 MAD
@@ -13,8 +13,9 @@ use crate::error::{DesignError, samples_of};
 /// MAD of a normal distribution × this = its standard deviation: 1 / Φ⁻¹(3/4).
 pub const SIGMA_PER_MAD: f32 = 1.4826;
 
-/// An envelope that varies less than this, in whatever unit, has no electrode behind it. Noise in volts varies
-/// a thousand times more; a constant channel's residue from the filter's rounding, even of 32-bit counts, less.
+/// An envelope that varies less than this, in whatever unit, comes from a channel without an electrode. Noise
+/// in volts varies a thousand times more; what the filter's rounding leaves of a constant channel varies
+/// less, even in 32-bit counts.
 const STUCK_SIGMA: f32 = 1e-12;
 
 /// What the user's muscles are doing.
@@ -22,39 +23,40 @@ const STUCK_SIGMA: f32 = 1e-12;
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum Activity {
-    /// The rest that sets the thresholds is still being measured.
+    /// The rest that sets the thresholds is still being measured: calibration.
     Calibrating = 0,
     /// No muscle is active.
     Rest = 1,
-    /// A movement is made or held.
+    /// A movement is being made or held.
     Move = 2,
 }
 
 /// When rest becomes movement and back.
 ///
 /// The defaults come from the 3DC recordings (15 people, 118 repetitions of 55 s, 4 channels). The paper's
-/// rule alone, any one channel above its threshold for 100 ms, is wrong 5 times a minute in the rests of
-/// other repetitions than the one calibrated on, and takes a fifth of that rest for movement. Two of four
-/// channels for 200 ms are wrong 0.7 times a minute (`tests/recordings.rs`), while from 1.2 s after the cue
-/// 96.6 % of the gestures are movement. The 200 ms are not felt: the first window that is all movement takes
-/// 300 ms. Leaving after 200 ms instead of 100 would make that 98.4 %, but the noise of rest would then often
-/// hold the arm in motion for a second after the muscles have let go.
+/// rule alone, any one channel above its threshold for 100 ms, gives 5 false starts per minute in the rests
+/// of other repetitions than the one calibrated on, and classifies a fifth of that rest as movement. Two of
+/// four channels for 200 ms give 0.7 false starts per minute (`tests/recordings.rs`), while 96.6 % of the
+/// gesture samples from 1.2 s after the cue count as movement. The 200 ms add no delay that a user feels: the
+/// first window that is all movement takes 300 ms. Releasing after 200 ms instead of 100 ms would raise the
+/// 96.6 % to 98.4 %, but the noise at rest would then often hold the arm in motion for a second after the
+/// muscles have let go.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ActivitySettings {
-    /// How long the user rests at the start so that the thresholds can be set, in s.
+    /// How long the user rests at the start while the thresholds are measured, in s.
     pub calibration_s: f64,
-    /// k: how many σ above the median of rest a channel's threshold lies.
+    /// k: a channel's threshold is this many σ above its median at rest.
     pub threshold_sigma: f64,
-    /// How many σ above the median of rest the envelope has to stay for the movement to go on: less than
-    /// `threshold_sigma`, so that a weakly held gesture does not fall apart.
+    /// The movement lasts while the envelope stays this many σ above the median at rest. Less than
+    /// `threshold_sigma`, so that a weakly held gesture is not interrupted.
     pub release_sigma: f64,
-    /// On what share of the channels at once, rounded up to whole channels, the envelope has to be above:
-    /// above 0, at most 1. 0.4 is 2 of 4 channels and 4 of 10.
+    /// Share of the channels, rounded up, on which the envelope must be above the threshold at the same time:
+    /// above 0, at most 1. 0.4 means 2 of 4 channels and 4 of 10.
     pub channel_share: f64,
-    /// How long without a break until rest becomes movement, in ms.
+    /// How long this must last without a break until rest becomes movement, in ms.
     pub enter_ms: f64,
-    /// How long fewer channels have to be above without a break until movement becomes rest, in ms.
+    /// How long fewer channels must be above without a break until movement becomes rest, in ms.
     pub leave_ms: f64,
 }
 
@@ -112,7 +114,7 @@ pub struct Baseline {
 }
 
 impl Baseline {
-    /// The baseline of `envelope`, which is left in disorder. Zero for an empty one.
+    /// The baseline of `envelope`, whose order is lost. Zero for an empty one.
     pub fn of(envelope: &mut [f32]) -> Baseline {
         let median = take_median(envelope);
         for value in envelope.iter_mut() {
@@ -121,14 +123,14 @@ impl Baseline {
         Baseline { median, sigma: SIGMA_PER_MAD * take_median(envelope) }
     }
 
-    /// `median + k sigma` (the paper's equation 1). A channel whose envelope did not vary at all is
-    /// stuck, or has no electrode: its threshold is infinite, so that it never counts as active.
+    /// `median + k sigma` (the paper's equation 1). A channel whose envelope did not vary at all is stuck or
+    /// has no electrode. Its threshold is infinite, so it never counts as active.
     pub fn threshold(&self, k: f32) -> f32 {
         if self.sigma > STUCK_SIGMA { self.median + k * self.sigma } else { f32::INFINITY }
     }
 }
 
-/// The median, as NumPy's: the mean of the two in the middle of an even number.
+/// The median, like NumPy's: the mean of the two middle values of an even number.
 fn take_median(values: &mut [f32]) -> f32 {
     let (middle, is_odd) = (values.len() / 2, values.len() % 2 == 1);
     if values.is_empty() {
@@ -139,7 +141,7 @@ fn take_median(values: &mut [f32]) -> f32 {
         return upper;
     }
     let lower = below.iter().copied().max_by(f32::total_cmp).unwrap_or(upper);
-    // Halved before they are added: no overflow.
+    // Halved before the addition, to prevent overflow.
     lower / 2.0 + upper / 2.0
 }
 
@@ -148,7 +150,7 @@ fn take_median(values: &mut [f32]) -> f32 {
 pub struct ActivityDetector {
     threshold_sigma: f32,
     release_sigma: f32,
-    /// Channels that have to be above.
+    /// Channels that must be above the threshold.
     needed_channels: usize,
     enter_samples: usize,
     leave_samples: usize,
@@ -165,10 +167,10 @@ pub struct ActivityDetector {
 }
 
 impl ActivityDetector {
-    /// A detector for `channels` channels, with all its memory.
+    /// Creates a detector for `channels` channels and allocates all its memory.
     ///
     /// # Errors
-    /// The first setting that does not fit.
+    /// The first setting that cannot work.
     pub fn new(
         settings: &ActivitySettings,
         channels: usize,
@@ -207,12 +209,12 @@ impl ActivityDetector {
         self.calibration_samples - self.calibrated_samples
     }
 
-    /// What calibration found of each channel; `None` until it is over.
+    /// What calibration measured of each channel; `None` until it is over.
     pub fn baselines(&self) -> Option<&[Baseline]> {
         (self.activity != Activity::Calibrating).then_some(&self.baselines)
     }
 
-    /// Back to rest, for where the signal has a gap. A calibration goes on with what comes after the gap.
+    /// Returns to rest, for a gap in the signal. A calibration continues after the gap.
     pub fn restart(&mut self) {
         self.run = 0;
         if self.activity == Activity::Move {
@@ -220,7 +222,7 @@ impl ActivityDetector {
         }
     }
 
-    /// Takes one time's envelope of every channel.
+    /// Takes the envelope of every channel at one point in time.
     pub fn push(&mut self, envelope: &[f32]) -> Activity {
         match self.activity {
             Activity::Calibrating => self.calibrate(envelope),

@@ -1,10 +1,10 @@
-//! The whole dsp stage as one pure thing, live and offline.
+//! The whole dsp stage as one pure transformation, used live and offline.
 //!
 //! ```text
 //! block [channels × samples] ─▶ filter ─┬─▶ windows ─────────────▶ window [channels × window]
 //!                                       └─▶ envelope ─▶ activity ─▶ Calibrating | Rest | Move
 //! ```
-//! What comes out is the same to the bit however the samples are cut into blocks.
+//! The output is bit-identical however the samples are divided into blocks.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,7 +24,7 @@ pub struct SignalSettings {
     pub envelope_ms: f64,
     /// Calibration and detection of movement.
     pub activity: ActivitySettings,
-    /// Length and distance of the windows.
+    /// Window length and increment.
     pub windows: WindowSettings,
 }
 
@@ -46,17 +46,17 @@ pub struct Window {
     pub first_sample: u64,
     /// Activity at its newest sample.
     pub activity: Activity,
-    /// How many of its samples, over all channels, were not usable and replaced. With any, what the window
-    /// shows is not what the muscles did: it has to be treated as rest.
+    /// How many of its samples, over all channels, were unusable and replaced. A window with any does not
+    /// show what the muscles did and must be treated as rest.
     pub replaced_samples: u32,
 }
 
 /// What [`SignalChain::push`] did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Push {
-    /// Samples of each channel taken from the block, at least 1. Push again from there until all are.
+    /// Samples of each channel taken from the block, at least 1. Push again from there until all are taken.
     pub consumed: usize,
-    /// How many of them, over all channels, were not usable and replaced.
+    /// How many of them, over all channels, were unusable and replaced.
     pub replaced_samples: u32,
     /// Activity at the last of them.
     pub activity: Activity,
@@ -90,17 +90,17 @@ pub struct SignalChain {
     window_samples: usize,
     /// Number of the next sample, lost ones included.
     next_sample: u64,
-    /// Of each sample being pushed, every channel's envelope: `[samples × channels]`.
+    /// Envelope of every channel at each sample being pushed: `[samples × channels]`.
     envelopes: Vec<f32>,
-    /// Of each sample being pushed, how many channels' were replaced.
+    /// How many channels were replaced at each sample being pushed.
     replaced: Vec<u16>,
 }
 
 impl SignalChain {
-    /// A chain with all its memory.
+    /// Creates a chain and allocates all its memory.
     ///
     /// # Errors
-    /// The first setting that does not fit.
+    /// The first setting that cannot work.
     pub fn new(
         settings: &SignalSettings,
         channels: usize,
@@ -119,7 +119,7 @@ impl SignalChain {
         })
     }
 
-    /// Samples in a window over all channels: the length that [`SignalChain::write_window`] wants.
+    /// Samples in a window over all channels: the length that [`SignalChain::write_window`] expects.
     pub fn window_len(&self) -> usize {
         self.channels * self.window_samples
     }
@@ -129,16 +129,16 @@ impl SignalChain {
         self.activity.calibration_left_samples()
     }
 
-    /// What calibration found of each channel's rest; `None` until it is over.
+    /// What calibration measured of each channel at rest; `None` until it is over.
     pub fn baselines(&self) -> Option<&[Baseline]> {
         self.activity.baselines()
     }
 
-    /// Takes samples `from..` of `block`, `[channels × samples]`, but not beyond the end of the next window:
-    /// so that every window can be written when its newest sample is in.
+    /// Takes samples `from..` of `block`, `[channels × samples]`, up to the end of the next window at most,
+    /// so that every window can be written as soon as its newest sample is in.
     ///
     /// # Panics
-    /// If `block` is not a whole number of samples for every channel, or has none from `from` on.
+    /// If the length of `block` is not a multiple of the number of channels, or `from` is past its end.
     pub fn push(&mut self, block: &[f32], from: usize) -> Push {
         assert!(block.len().is_multiple_of(self.channels), "a block is channels × samples");
         let samples = block.len() / self.channels;
@@ -184,15 +184,16 @@ impl SignalChain {
         Push { consumed, replaced_samples, activity, window }
     }
 
-    /// Takes all of `block`, `[channels × samples]`. Calls `on_window` at each window that it completes, with the
-    /// chain, which can write it then, the window, and how many of the block's samples belong to it or to what came
-    /// before. Gives how many samples of the block, over all channels, were not usable and replaced.
+    /// Takes all of `block`, `[channels × samples]`. Calls `on_window` for each window it completes, with the
+    /// chain (which can write the window at that moment), the window, and how many samples of the block have
+    /// been taken so far. Returns how many samples of the block, over all channels, were unusable and
+    /// replaced.
     ///
     /// # Errors
-    /// The first that `on_window` gives. What follows in the block is then not taken.
+    /// The first error of `on_window`. The rest of the block is then not taken.
     ///
     /// # Panics
-    /// As [`SignalChain::push`]. An empty block is none.
+    /// As [`SignalChain::push`], except for an empty block, which is allowed.
     pub fn push_block<E>(
         &mut self,
         block: &[f32],
@@ -221,9 +222,9 @@ impl SignalChain {
         self.windower.write_window(out);
     }
 
-    /// Tells the chain that `lost_samples` samples of every channel are missing before the next ones: no
-    /// window spans the gap and movement has to be detected anew. The filter goes on as if nothing were
-    /// missing, which disturbs it less than starting again.
+    /// Tells the chain that `lost_samples` samples of every channel are missing before the next ones. No
+    /// window spans the gap, and movement must be detected anew. The filter continues as if nothing were
+    /// missing, which disturbs it less than a restart.
     pub fn gap(&mut self, lost_samples: u64) {
         self.next_sample += lost_samples;
         self.windower.restart();

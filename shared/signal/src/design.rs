@@ -1,7 +1,7 @@
 //! Design of the filters as second-order sections, in `f64`, for any sampling rate.
 //!
-//! The results are those of SciPy's `iirnotch` and `butter(…, output="sos")`, sections in the same
-//! order: what was trained on data filtered with SciPy sees the same signal here.
+//! The results equal those of SciPy's `iirnotch` and `butter(…, output="sos")`, with sections in the same
+//! order, so a model trained on data filtered with SciPy sees the same signal here.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -22,7 +22,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// What the section multiplies a constant input with once it has settled.
+    /// Gain for a constant input once the section has settled.
     pub fn gain_at_zero_hz(&self) -> f64 {
         self.b.iter().sum::<f64>() / (1.0 + self.a[0] + self.a[1])
     }
@@ -40,7 +40,7 @@ pub fn notch(frequency_hz: f64, quality: f64, sample_rate_hz: f64) -> Result<Sec
     if !(quality.is_finite() && quality > 0.5) {
         return Err(DesignError::NotchQuality(quality));
     }
-    // Orfanidis, Introduction to Signal Processing, eq. 11.3.4 and 11.3.19, as SciPy has it.
+    // Orfanidis, Introduction to Signal Processing, eq. 11.3.4 and 11.3.19, as in SciPy.
     let center = 2.0 * PI * frequency_hz / sample_rate_hz;
     let width = center / quality;
     let gain_at_edge = FRAC_1_SQRT_2;
@@ -50,8 +50,8 @@ pub fn notch(frequency_hz: f64, quality: f64, sample_rate_hz: f64) -> Result<Sec
     Ok(Section { b: [gain, middle, gain], a: [middle, 2.0 * gain - 1.0] })
 }
 
-/// A Butterworth band-pass of `order` in SciPy's sense: `order` sections, `6 × order` dB per octave at
-/// either edge.
+/// A Butterworth band-pass of `order` in SciPy's sense: `order` sections, `6 × order` dB per octave at each
+/// edge.
 ///
 /// # Errors
 /// Edges that are not `0 < low_hz < high_hz < sample_rate_hz / 2`, or an order outside 1 to [`MAX_ORDER`].
@@ -134,9 +134,9 @@ fn digital_sections(
     paired_sections(zeros, poles, gain)
 }
 
-/// Pairs poles with zeros as SciPy's `zpk2sos(pairing="nearest")`: from the last section to the first,
-/// the pole nearest to the unit circle takes its conjugate and the two zeros nearest to it. The gain is
-/// in the first section. All zeros are real here.
+/// Pairs poles with zeros like SciPy's `zpk2sos(pairing="nearest")`: from the last section to the first, the
+/// pole nearest to the unit circle takes its conjugate and the two zeros nearest to it. The gain is in the
+/// first section. All zeros are real here.
 fn paired_sections(mut zeros: Vec<f64>, mut poles: Vec<Complex64>, gain: f64) -> Vec<Section> {
     if poles.len() % 2 == 1 {
         zeros.push(0.0);
@@ -178,8 +178,8 @@ fn paired_sections(mut zeros: Vec<f64>, mut poles: Vec<Complex64>, gain: f64) ->
     sections
 }
 
-/// Removes the real pole at `at` and the one of the others that is nearest to the unit circle. The reals
-/// are even in number: all poles are, and the complex ones come in pairs.
+/// Removes the real pole at `at` and, of the others, the one nearest to the unit circle. The number of real
+/// poles is even: the total is even, and complex poles come in pairs.
 fn take_two_reals(reals: &mut Vec<f64>, at: usize) -> (Complex64, Complex64) {
     let first = reals.remove(at);
     let second = position_of_least(reals, |pole| (1.0 - pole.abs()).abs()).map_or(0.0, |at| reals.remove(at));

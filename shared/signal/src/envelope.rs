@@ -7,9 +7,9 @@ pub const DEFAULT_ENVELOPE_MS: f64 = 25.0;
 
 /// Moving RMS of one channel. Samples before the first count as zero.
 ///
-/// The sum over the last `length` squares is a sum of two sums that only ever add, so it cannot drift,
-/// however long it runs, nor become negative: the squares of this turn of the ring so far, and those of
-/// the turn before that are still within reach, added up backwards once a turn.
+/// The sum over the last `length` squares is made of two sums that only ever grow, so it can neither drift,
+/// however long it runs, nor become negative: the squares of this turn of the ring so far, and those of the
+/// turn before that are still within reach, added up backwards once a turn.
 ///
 /// ```text
 /// ring   | this turn's squares | sums of last turn's squares from here to its end |
@@ -28,7 +28,7 @@ impl Envelope {
     /// An envelope over `length_ms`, rounded to samples.
     ///
     /// # Errors
-    /// A length of less than a sample.
+    /// A length shorter than one sample.
     pub fn new(length_ms: f64, sample_rate_hz: f64) -> Result<Envelope, DesignError> {
         let length = samples_of("envelope_ms", length_ms, 1e-3, sample_rate_hz, DEFAULT_ENVELOPE_MS)?;
         Ok(Envelope { ring: vec![0.0; length], next: 0, head: 0.0 })
@@ -68,7 +68,7 @@ mod tests {
 
     #[test]
     fn a_large_artefact_leaves_no_trace_after_its_length() {
-        // With a sum that adds and subtracts, 1e12² would swallow the digits of all that is in reach.
+        // In a sum that adds and subtracts, 1e12² would swallow the digits of everything else in the window.
         let mut envelope = Envelope::new(25.0, 2000.0).expect("50 samples");
         for _ in 0..77 {
             envelope.push(0.5);

@@ -23,7 +23,7 @@ pub enum DesignError {
     /// The quality is not a positive number, or so low that the notch is wider than the whole band.
     #[error("notch_quality = {0}: give frequency / width of the notch, a number above 0.5, e.g. 30")]
     NotchQuality(f64),
-    /// The edges of the band are not in order, or the lower one does not lie below half the sampling rate.
+    /// The edges of the band are not in order, or the lower one is not below half the sampling rate.
     #[error(
         "band_pass_hz = [{low_hz}, {high_hz}] at {sample_rate_hz} Hz: give two edges with \
          0 < low < high and low below half the sampling rate, e.g. [5, 500]"
@@ -39,7 +39,7 @@ pub enum DesignError {
     /// The order of the band-pass is zero or needlessly high.
     #[error("band_pass_order = {0}: give an order from 1 to 12, e.g. 6")]
     BandOrder(usize),
-    /// The percentile is none.
+    /// The percentile is not between 0 and 100.
     #[error("peak_percentile = {value}: give a percentile from 0 to 100, e.g. 80")]
     Percentile {
         /// What was given.
@@ -62,12 +62,12 @@ pub enum DesignError {
         setting: &'static str,
         /// Its value.
         value: f64,
-        /// What it has to keep to.
+        /// The range it must be in.
         bounds: &'static str,
         /// A value that works.
         example: f64,
     },
-    /// A window or the distance between windows has no samples.
+    /// A window or the increment has no samples.
     #[error("{setting} = 0: give a number of samples, e.g. {example}")]
     NoSamples {
         /// The key of the setting.
@@ -94,7 +94,7 @@ pub(crate) fn check_sample_rate(sample_rate_hz: f64) -> Result<(), DesignError> 
     }
 }
 
-/// A duration as a number of samples; refuses one of no samples. `setting` and `example` are for the message.
+/// A duration as a number of samples, at least one. `setting` and `example` are for the message.
 pub(crate) fn samples_of(
     setting: &'static str,
     value: f64,
@@ -104,7 +104,7 @@ pub(crate) fn samples_of(
 ) -> Result<usize, DesignError> {
     check_sample_rate(sample_rate_hz)?;
     let samples = (value * unit_s * sample_rate_hz).round();
-    // A minute bounds what a slip of the unit could make the process allocate.
+    // One minute limits what the process could allocate if the unit was mistaken.
     if samples >= 1.0 && samples <= 60.0 * sample_rate_hz {
         Ok(samples as usize)
     } else {

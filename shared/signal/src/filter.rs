@@ -1,12 +1,12 @@
-//! The causal filter of the paper: notch against the mains, then a Butterworth band-pass, per channel.
+//! The causal filter of the paper: a notch against mains hum, then a Butterworth band-pass, per channel.
 //!
 //! ```text
 //! f32 sample ─▶ usable? ─▶ notch ─▶ section ─▶ … ─▶ section ─▶ f32 sample
 //!                 │ no: the channel's last good sample      (state and signal in f64 between)
 //! ```
-//! The output is the same to the bit however the samples are cut into blocks, and whether channels are filtered together
-//! or one by one. Together is faster: each output of a section waits for the one before, and while one channel waits
-//! others are computed in the lanes beside it.
+//! The output is bit-identical however the samples are divided into blocks, and whether channels are filtered
+//! together or one by one. Together is faster: each output of a section waits for the previous one, and while
+//! one channel waits, others are computed in the neighbouring vector lanes.
 
 use std::ops::Range;
 use std::slice;
@@ -17,24 +17,24 @@ use serde::{Deserialize, Serialize, Serializer};
 use crate::design::{Section, butterworth_band_pass, butterworth_high_pass, notch};
 use crate::error::DesignError;
 
-/// Samples beyond this (in whatever unit the source has) are taken for faults, as NaN and infinity are:
-/// no amplifier or converter gives them, and the filter's output could leave the range of `f32`.
+/// Samples beyond this (in whatever unit the source has) count as faults, like NaN and infinity: no amplifier
+/// or converter produces them, and the filter's output could leave the range of `f32`.
 pub const LARGEST_SAMPLE: f32 = 1e12;
 
-/// How the samples are filtered. A part of `tendon.toml` and of a model's metadata: a model fits a session
-/// only if both hold the same.
+/// How the samples are filtered. Part of `tendon.toml` and of a model's metadata: a model fits a session only
+/// if both agree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FilterSettings {
-    /// Mains frequency to remove, in Hz (60, or 50 where the mains has it); `"off"` for no notch.
+    /// Mains frequency to remove, in Hz (60 or 50, depending on the country); `"off"` for no notch.
     #[serde(serialize_with = "write_notch", deserialize_with = "read_notch")]
     pub notch_hz: Option<f64>,
     /// Frequency / width of the notch at -3 dB.
     pub notch_quality: f64,
-    /// Lower and upper edge of the band-pass, in Hz, at -3 dB. Where the upper edge is at or above half
-    /// the sampling rate, only the lower one is applied.
+    /// Lower and upper edge of the band-pass, in Hz, at -3 dB. If the upper edge is at or above half the
+    /// sampling rate, only the lower one is applied.
     pub band_pass_hz: [f64; 2],
-    /// Order of the Butterworth band-pass in SciPy's sense: the steepness at either edge.
+    /// Order of the Butterworth band-pass in SciPy's sense: the steepness at each edge.
     pub band_pass_order: usize,
 }
 
@@ -54,8 +54,8 @@ impl FilterSettings {
     /// The sections of the filter in the order in which they are applied.
     ///
     /// With the upper edge at or above half the sampling rate the band-pass becomes a high-pass of the same
-    /// order: there is nothing above the edge left to remove, the recorder's own anti-alias filter has
-    /// bounded the band before sampling.
+    /// order: nothing is left above the edge to remove, because the recorder's own anti-alias filter limited
+    /// the band before sampling.
     ///
     /// # Errors
     /// The first setting that does not fit.
@@ -77,7 +77,7 @@ impl FilterSettings {
 }
 
 fn write_notch<S: Serializer>(notch_hz: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
-    // TOML has no null, and a key left out means the default: "off" has to be written out.
+    // TOML has no null, and a missing key means the default, so "off" must be written out.
     match notch_hz {
         Some(frequency_hz) => serializer.serialize_f64(*frequency_hz),
         None => serializer.serialize_str("off"),
@@ -119,7 +119,7 @@ pub struct EmgFilter {
 
 #[derive(Clone, Debug)]
 struct ChannelState {
-    /// Of each section, the two delayed sums of the transposed direct form II.
+    /// The two delayed sums of each section, in transposed direct form II.
     delays: Vec<[f64; 2]>,
     /// `None` until the first usable sample.
     last_good: Option<f32>,
@@ -127,12 +127,12 @@ struct ChannelState {
     until_flush: usize,
 }
 
-/// Every so many samples of a channel its decayed delays are set to zero. Counted in samples and not in
-/// blocks, so that the output does not depend on how the samples are cut.
+/// Decayed delays are set to zero after this many samples of a channel. Counted in samples, not in blocks, so
+/// that the output does not depend on how the samples are divided.
 const FLUSH_INTERVAL: usize = 64;
 
-/// Below this a delay is as good as zero. On the way down to where `f64` becomes subnormal (1e-308), and
-/// arithmetic slow, it would have to shrink by more than any band-pass does in one interval.
+/// Below this, a delay is practically zero. To reach the range where `f64` becomes subnormal (1e-308) and
+/// arithmetic slow, it would have to shrink by more than any band-pass shrinks it in one interval.
 const DECAYED: f64 = 1e-30;
 
 impl EmgFilter {
@@ -157,11 +157,11 @@ impl EmgFilter {
         Ok(EmgFilter { sections, channels: vec![channel; channels] })
     }
 
-    /// Filters the next samples of `channel` in place and returns how many of them were not usable (NaN,
-    /// infinite, beyond [`LARGEST_SAMPLE`]) and taken as the channel's last good sample instead.
+    /// Filters the next samples of `channel` in place and returns how many of them were unusable (NaN,
+    /// infinite, beyond [`LARGEST_SAMPLE`]) and replaced by the channel's last good sample.
     ///
-    /// The first good sample is taken to have lasted for ever, so that an offset of thousands of counts
-    /// does not ring. Before it, the output is 0.
+    /// The filter starts as if the first good sample had lasted for ever, so that an offset of thousands of
+    /// counts does not ring. Before it, the output is 0.
     ///
     /// # Panics
     /// If there is no such channel.
@@ -170,11 +170,11 @@ impl EmgFilter {
         process_group(&self.sections, slice::from_mut(&mut self.channels[channel]), samples, 0..length)
     }
 
-    /// As [`EmgFilter::process`] for all channels: filters the `samples` of each channel of `signal`,
-    /// `[channels × any number]`, in place.
+    /// Like [`EmgFilter::process`], for all channels: filters the range `samples` of each channel of
+    /// `signal`, `[channels × any number]`, in place.
     ///
     /// # Panics
-    /// If `signal` is not a whole number of samples for every channel, or has no such `samples`.
+    /// If the length of `signal` is not a multiple of the number of channels, or `samples` is out of range.
     pub fn process_all(&mut self, signal: &mut [f32], samples: Range<usize>) -> u32 {
         assert!(signal.len().is_multiple_of(self.channels.len()), "a signal is channels × samples");
         let length = signal.len() / self.channels.len();
@@ -187,7 +187,7 @@ impl EmgFilter {
     }
 }
 
-/// Channels that are filtered side by side: two vectors of the narrowest kind that processors have.
+/// Channels that are filtered side by side: two of the narrowest vectors that processors have.
 const LANES: usize = 4;
 
 /// Filters the `samples` of each channel of `signal`, `[states × any number]`, of which there are at most [`LANES`].
@@ -224,7 +224,7 @@ fn process_group(
     replaced
 }
 
-/// As [`process_group`], of channels that have all started, at most `N`.
+/// Like [`process_group`], for at most `N` channels that have all started.
 fn process_lanes<const N: usize>(
     sections: &[Section],
     states: &mut [ChannelState],
@@ -263,14 +263,15 @@ fn process_lanes<const N: usize>(
     replaced
 }
 
-/// Whether a sample can have come from a working source.
+/// Whether a working source can have produced the sample.
 pub(crate) fn is_usable(sample: f32) -> bool {
     // False for NaN.
     sample.abs() <= LARGEST_SAMPLE
 }
 
 impl ChannelState {
-    /// Settles the delays on the first usable sample and returns its position, all of them if there is none.
+    /// Settles the delays on the first usable sample and returns its position, or the number of samples if
+    /// there is none.
     fn start(&mut self, sections: &[Section], samples: &[f32]) -> usize {
         let Some(first) = samples.iter().position(|&sample| is_usable(sample)) else {
             return samples.len();
@@ -286,7 +287,8 @@ impl ChannelState {
         first
     }
 
-    /// Writes `samples` to a lane of `buffer`, the last good one for each that is not usable, and counts these.
+    /// Writes `samples` to a lane of `buffer`, with the last good one in place of each unusable one, and
+    /// counts those.
     fn fill_lane<const N: usize>(&mut self, samples: &[f32], buffer: &mut [[f64; N]], lane: usize) -> u32 {
         let mut replaced = 0;
         let mut last_good = self.last_good.unwrap_or(0.0);
@@ -316,8 +318,8 @@ impl ChannelState {
 
 /// Transposed direct form II over one piece of the channels in the lanes, the delays in registers.
 ///
-/// By itself, every operation becomes one on vectors of neighbouring lanes; inlined, the compiler mixes in what is
-/// around and shuffles lanes more than it computes.
+/// Compiled separately, every operation becomes one on vectors of neighbouring lanes. Inlined, the compiler
+/// mixes in the surrounding code and shuffles lanes more than it computes.
 #[inline(never)]
 fn run_section<const N: usize>(section: &Section, delays: &mut [[f64; N]; 2], signal: &mut [[f64; N]]) {
     let [b0, b1, b2] = section.b;
@@ -416,7 +418,7 @@ mod tests {
 
     #[test]
     fn decayed_delays_become_zero_and_never_subnormal() {
-        // Poles that decay to where f64 is subnormal in 15 s and not in minutes, as the defaults' do.
+        // These poles decay to subnormal f64 within 15 s; those of the defaults take minutes.
         let settings =
             FilterSettings { notch_quality: 3.0, band_pass_hz: [50.0, 500.0], ..FilterSettings::default() };
         let mut filter = EmgFilter::new(&settings, 1, 2000.0).expect("a filter");

@@ -1,4 +1,4 @@
-//! The signal processing of the dsp stage, live and offline: one implementation, so that training and
+//! The signal processing of the dsp stage: one implementation for live and offline use, so that training and
 //! deployment cannot drift apart.
 //!
 //! ```text
@@ -7,9 +7,9 @@
 //! recording ─▶ resample                                              to the session's rate
 //! recording ─▶ filter ─▶ onset                                       where the movement starts
 //! ```
-//! Everything that depends on time takes the sampling rate. Samples are `f32` in the source's unit (mV or
-//! ADC counts), blocks and windows are channel-major. Nothing but
-//! [`find_onset`], which is for offline use, allocates once constructed.
+//! Everything that depends on time takes the sampling rate as a parameter. Samples are `f32` in the source's
+//! unit (mV or ADC counts), blocks and windows are channel-major. Nothing but [`find_onset`], which is for
+//! offline use, allocates once constructed.
 #![forbid(unsafe_code)]
 
 mod activity;

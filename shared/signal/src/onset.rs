@@ -1,5 +1,5 @@
-//! Where the movement starts in a recording that begins at rest: the paper's two methods (section "Onset
-//! Detection"), offline.
+//! Finds where the movement starts in a recording that begins at rest, offline: the paper's two methods
+//! (section "Onset Detection").
 //!
 //! ```text
 //! most active channel's envelope   ____________╱‾╲╱‾‾╲___
@@ -18,7 +18,7 @@ use crate::error::{DesignError, samples_of};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum OnsetMethod {
-    /// Median + k σ of the recording's start, σ = 1.4826 MAD: the method that the paper chose.
+    /// Median + k σ of the recording's start, σ = 1.4826 MAD: the paper's choice.
     Baseline,
     /// A percentile of the envelope's local maxima over the whole recording.
     PeakPercentile,
@@ -34,13 +34,13 @@ pub struct OnsetSettings {
     pub envelope_ms: f64,
     /// How much of the recording's start is rest, in ms.
     pub baseline_ms: f64,
-    /// k: how many σ above the median of rest the threshold lies.
+    /// k: the threshold is this many σ above the median at rest.
     pub threshold_sigma: f64,
     /// Which percentile of the local maxima is the threshold; the paper tried 70 to 90.
     pub peak_percentile: f64,
-    /// From where to where an onset is searched, in ms.
+    /// Interval in which an onset is searched, in ms.
     pub search_ms: [f64; 2],
-    /// How long the envelope has to stay above the threshold, inside the searched part, in ms.
+    /// How long the envelope must stay above the threshold within that interval, in ms.
     pub duration_ms: f64,
     /// How much before the onset to keep, in ms.
     pub margin_ms: f64,
@@ -64,14 +64,14 @@ impl Default for OnsetSettings {
 /// Where a movement begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Onset {
-    /// The first sample above the threshold, of those that are followed by enough more.
+    /// The first sample above the threshold that is followed by enough others above it.
     pub sample: usize,
-    /// The sample from which on the recording is kept: the margin before the onset.
+    /// The first sample to keep: the onset minus the margin.
     pub start_sample: usize,
 }
 
-/// Where the recording begins to show the movement. `None` if no onset is found; the paper then cuts at a fixed
-/// point.
+/// Finds where the movement begins in the recording. `None` if there is no onset; the paper then cuts at a
+/// fixed point.
 ///
 /// `signal` is filtered, `[channels × samples]`. The most active channel, the one with the highest mean
 /// envelope, decides for all.
@@ -80,7 +80,7 @@ pub struct Onset {
 /// No channels, a duration of less than a sample, or a percentile outside 0..=100.
 ///
 /// # Panics
-/// If `signal` is not a whole number of samples for every channel.
+/// If the length of `signal` is not a multiple of the number of channels.
 pub fn find_onset(
     settings: &OnsetSettings,
     signal: &[f32],
@@ -140,8 +140,8 @@ fn local_maxima(envelope: &[f32]) -> Vec<f32> {
     peaks.map(|three| three[1]).collect()
 }
 
-/// A percentile, interpolated linearly between the two nearest values as NumPy's; infinite of no values, so that
-/// nothing lies above it.
+/// A percentile, interpolated linearly between the two nearest values, like NumPy's; infinite for no values,
+/// so that nothing exceeds it.
 fn percentile(mut values: Vec<f32>, percent: f64) -> f32 {
     values.sort_unstable_by(f32::total_cmp);
     let Some(last) = values.len().checked_sub(1) else { return f32::INFINITY };

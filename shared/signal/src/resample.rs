@@ -1,11 +1,11 @@
-//! Changing the sampling rate by a ratio of whole numbers, streaming: for a recording that was not made at
+//! Streaming change of the sampling rate by a ratio of whole numbers, for recordings that were not made at
 //! the session's rate.
 //!
 //! ```text
 //! input ─▶ up - 1 zeros between samples ─▶ low-pass at the lower Nyquist rate ─▶ every down-th ─▶ output
 //! ```
-//! computed polyphase: only the products that are not with a zero, only for the outputs that are kept. Channels are
-//! added up side by side, each in its own lane and in the order in which it would be alone.
+//! Computed as polyphase: without the products with a zero, and only for the outputs that are kept. Channels
+//! are summed side by side, each in its own lane and in the same order as alone.
 
 use std::array::from_fn;
 use std::f64::consts::PI;
@@ -18,7 +18,7 @@ const KAISER_BETA: f64 = 5.0;
 /// Zero crossings of the low-pass on either side, SciPy's default for `resample_poly`.
 const HALF_WIDTH: usize = 10;
 
-/// Channels that are added up side by side: two vectors of the narrowest kind that processors have.
+/// Channels that are summed side by side: two of the narrowest vectors that processors have.
 const LANES: usize = 4;
 
 /// Resampler of all channels of a recording.
@@ -32,12 +32,12 @@ pub struct Resampler {
     /// `[up × phase_len]`: the low-pass's every `up`-th tap from each phase, newest sample first.
     phases: Vec<f64>,
     delay_upsampled: usize,
-    /// For every [`LANES`] channels the newest `phase_len` inputs, twice in a row, so that any `phase_len` of them lie
-    /// side by side.
+    /// The newest `phase_len` inputs of every [`LANES`] channels, stored twice in a row, so that any
+    /// `phase_len` of them are contiguous.
     histories: Vec<Vec<[f64; LANES]>>,
-    /// Where the newest input lies; inputs go in from the back.
+    /// Index of the newest input; inputs are written from the back.
     newest: usize,
-    /// Of the next output, how many upsampled steps it lies after the next input.
+    /// How many upsampled steps the next output lies after the next input.
     next_output: usize,
 }
 
@@ -78,7 +78,7 @@ impl Resampler {
         })
     }
 
-    /// By how many output samples the output lags behind the input.
+    /// How many output samples the output lags behind the input.
     pub fn delay_samples(&self) -> f64 {
         self.delay_upsampled as f64 / self.down as f64
     }
@@ -88,8 +88,9 @@ impl Resampler {
         (input_samples * self.up).div_ceil(self.down)
     }
 
-    /// Takes the next samples, `[samples × channels]`, and appends to `output` what they give, in the same layout: room
-    /// for [`Resampler::max_output_samples`] of every channel there, and nothing is allocated.
+    /// Takes the next samples, `[samples × channels]`, and appends the resulting samples to `output`, in the
+    /// same layout. With room for [`Resampler::max_output_samples`] of every channel there, nothing is
+    /// allocated.
     ///
     /// # Panics
     /// If `input` is not a whole number of samples for every channel.
@@ -106,7 +107,7 @@ impl Resampler {
                 history[self.newest + self.phase_len] = lanes;
             }
             while self.next_output < self.up {
-                // Each sum waits for the one before: two outputs take no longer than one.
+                // Each sum waits for the previous one, so two outputs take no longer than one.
                 if self.next_output + self.down < self.up {
                     self.push_outputs::<2>(output);
                 } else {
@@ -136,11 +137,11 @@ impl Resampler {
     }
 }
 
-/// Of each phase, and of each lane, the sum of the samples times the taps.
+/// Sum of the samples times the taps, for each phase and each lane.
 #[inline(never)]
 fn weighted_sums<const N: usize>(phases: [&[f64]; N], samples: &[[f64; LANES]]) -> [[f64; LANES]; N] {
     let phases = phases.map(|taps| &taps[..samples.len()]);
-    // As `Iterator::sum` begins: the one number that leaves the sign of a zero as it is.
+    // Starts like `Iterator::sum`, with the one number that preserves the sign of a zero.
     let mut sums = [[-0.0; LANES]; N];
     for (step, samples) in samples.iter().enumerate() {
         for (sums, taps) in sums.iter_mut().zip(&phases) {

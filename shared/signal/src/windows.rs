@@ -1,4 +1,4 @@
-//! Cutting the filtered signal into overlapping windows, what the classifier sees.
+//! Cuts the filtered signal into overlapping windows, which the classifier sees.
 //!
 //! ```text
 //! samples  ──────────────────────────────────────▶
@@ -18,14 +18,14 @@ use crate::error::DesignError;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum WindowInput {
-    /// The filtered signal. Live windows are always that.
+    /// The filtered signal, as in every live window.
     #[default]
     Raw,
     /// Its moving RMS over 25 ms.
     Envelope,
 }
 
-/// Length and distance of the windows. The defaults are the paper's 300 ms every 75 ms at 2000 Hz.
+/// Window length and increment. The defaults are the paper's 300 ms every 75 ms at 2000 Hz.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindowSettings {
@@ -43,8 +43,8 @@ impl Default for WindowSettings {
 
 /// A ring of the newest `window` samples of every channel, and the count to the next window's end.
 ///
-/// Samples are written in place: [`Windower::room`] says how many, [`Windower::place_mut`] gives their place in
-/// each channel, [`Windower::advance`] takes them in.
+/// Samples are written in place: [`Windower::room`] says how many, [`Windower::place_mut`] gives their place
+/// in each channel, and [`Windower::advance`] accepts them.
 #[derive(Clone, Debug)]
 pub struct Windower {
     window: usize,
@@ -54,7 +54,7 @@ pub struct Windower {
     /// Where the next sample goes in each channel's ring: also where the oldest one is.
     next: usize,
     until_window: usize,
-    /// Of each time in the ring, how many channels' samples were replaced, and their sum.
+    /// How many channels were replaced at each point in time in the ring, and their sum.
     replaced: Vec<u16>,
     replaced_sum: u32,
 }
@@ -95,8 +95,8 @@ impl Windower {
         (&mut self.ring, self.next..self.next + samples)
     }
 
-    /// Takes in the samples just written to every channel; `replaced` holds, for each of them in time, how
-    /// many channels' samples were not usable. True if a window ends with the newest: get it with
+    /// Accepts the samples just written to every channel. `replaced` holds, for each point in time, how many
+    /// channels were unusable. Returns true if a window ends with the newest sample: get it with
     /// [`Windower::write_window`] before more samples are written.
     ///
     /// # Panics
@@ -118,12 +118,12 @@ impl Windower {
         false
     }
 
-    /// How many samples, over all channels, of the newest `window` were not usable and replaced.
+    /// How many samples of the newest `window`, over all channels, were unusable and replaced.
     pub fn replaced_samples(&self) -> u32 {
         self.replaced_sum
     }
 
-    /// Forgets what was collected: the next window ends after a whole `window` of new samples.
+    /// Discards what was collected: the next window ends after a whole `window` of new samples.
     pub fn restart(&mut self) {
         self.until_window = self.window;
     }

@@ -71,8 +71,7 @@ impl Firmware {
 
     /// The version in a text such as `v1.12.10` or `2.5.0-beta`.
     pub fn parse(text: &str) -> Option<Firmware> {
-        let digits = text.trim_start_matches(|character: char| !character.is_ascii_digit());
-        let mut numbers = digits.splitn(3, '.').map(|number| {
+        let mut numbers = text.trim().trim_start_matches(['v', 'V']).splitn(3, '.').map(|number| {
             let end = number.find(|character: char| !character.is_ascii_digit()).unwrap_or(number.len());
             number[..end].parse().ok()
         });

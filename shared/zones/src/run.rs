@@ -152,11 +152,13 @@ impl TaskRun {
         )
     }
 
-    /// For the live line: which zone there is, and how far it is.
+    /// For the live line: which zone there is and where, as seen in the figure, from in front of the arm: up is +z, right
+    /// is +y.
     pub fn live(&self) -> String {
         match &self.under_way {
-            Some(task) => format!("  zone {} at {:3.0} mm", task.zone_number(), task.distance_mm()),
-            None => "  rest: the first zone is to come".to_owned(),
+            None => "  rest: the first zone appears soon".to_owned(),
+            Some(task) if task.is_inside() => format!("  zone {}: inside, stay", task.zone_number()),
+            Some(task) => format!("  zone {}: {} mm", task.zone_number(), directions(task.offset_mm())),
         }
     }
 
@@ -174,6 +176,21 @@ impl TaskRun {
     fn user_name(&self) -> &'static str {
         if self.user.is_some() { "simulated" } else { "person" }
     }
+}
+
+/// Such as `up 78, right 40`, the greater one first.
+fn directions(offset_mm: DVec3) -> String {
+    let vertical = (offset_mm.z, if offset_mm.z < 0.0 { "down" } else { "up" });
+    let horizontal = (offset_mm.y, if offset_mm.y < 0.0 { "left" } else { "right" });
+    let mut parts = [vertical, horizontal];
+    parts.sort_by(|one, other| other.0.abs().total_cmp(&one.0.abs()));
+    let parts: Vec<String> = parts
+        .iter()
+        .map(|(mm, direction)| (mm.abs().round(), direction))
+        .filter(|(mm, _)| *mm > 0.0)
+        .map(|(mm, direction)| format!("{direction} {mm:.0}"))
+        .collect();
+    parts.join(", ")
 }
 
 #[cfg(test)]
@@ -214,9 +231,24 @@ mod tests {
         .unwrap();
         run.observe(&state(1.0, Permission::Granted), START_MM).unwrap();
         run.observe(&state(6.0, Permission::AwaitRest), START_MM).unwrap();
-        assert!(run.report(0).is_none() && run.live().contains("first zone"));
+        assert!(run.report(0).is_none() && run.live().contains("first zone"), "{}", run.live());
         run.observe(&state(6.1, Permission::Granted), START_MM).unwrap();
         assert_eq!(run.under_way().map(ZoneTask::zone_number), Some(1));
+    }
+
+    #[test]
+    fn the_live_line_says_where_the_zone_is() {
+        assert_eq!(directions(DVec3::new(0.0, 40.2, 78.4)), "up 78, right 40");
+        assert_eq!(directions(DVec3::new(0.0, -90.0, -3.0)), "left 90, down 3");
+        assert_eq!(directions(DVec3::new(0.0, 0.3, -31.0)), "down 31");
+        let mut run = TaskRun::new(plan()).unwrap();
+        assert!(run.live().contains("first zone"));
+        run.observe(&state(6.0, Permission::Granted), START_MM).unwrap();
+        let centre_mm = run.under_way().unwrap().zone().centre_mm;
+        assert!(run.live().starts_with("  zone 1: ") && run.live().ends_with(" mm"), "{}", run.live());
+        run.observe(&state(6.1, Permission::Granted), <[f64; 3]>::from(centre_mm).map(|mm| mm as f32))
+            .unwrap();
+        assert_eq!(run.live(), "  zone 1: inside, stay");
     }
 
     #[test]

@@ -113,9 +113,14 @@ impl ZoneTask {
         self.scores.len() + 1
     }
 
-    /// How far the arm is from the centre of the zone, mm.
-    pub fn distance_mm(&self) -> f64 {
-        self.position_mm.distance(self.attempt.zone.centre_mm)
+    /// From the arm to the centre of the zone, mm.
+    pub fn offset_mm(&self) -> DVec3 {
+        self.attempt.zone.centre_mm - self.position_mm
+    }
+
+    /// Whether the arm is in the zone.
+    pub fn is_inside(&self) -> bool {
+        self.attempt.zone.contains(self.position_mm)
     }
 
     /// The workspace that must not be left.

@@ -60,6 +60,8 @@ def main():
         ("gripper_closed", lambda: arm.gripper_modbus_set_pos(-10)),
         ("gripper_position", arm.gripper_modbus_get_pos),
         ("gripper_error", arm.gripper_modbus_get_errcode),
+        ("gripper_off", lambda: arm.gripper_modbus_set_en(0)),
+        ("gripper_status", lambda: arm.gripper_modbus_r16s(0x0000, 1)),
     ]:
         send()
         print(name, wire.sent.hex())

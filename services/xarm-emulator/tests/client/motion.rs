@@ -1,65 +1,8 @@
-//! The client of `tendon-xarm` against the emulator: each test has an emulator of its own, on free ports.
+//! Motion, stops, errors and broken connections.
 
-use std::net::{Ipv4Addr, SocketAddr};
-use std::time::{Duration, Instant};
+use std::net::Ipv4Addr;
 
-use tendon_xarm::{ArmState, Client, ClientSettings, Fault, Halt, Mode, Phase, Source, Status, Velocity};
-use tendon_xarm_emulator::{Emulator, Fault as Injected, Listen};
-
-/// What does not come within this time never does.
-const WATCHDOG: Duration = Duration::from_secs(60);
-
-const ALONG_Y: Velocity = Velocity::Flange([0.0, 50.0, 0.0, 0.0, 0.0, 0.0]);
-const REST: Velocity = Velocity::Flange([0.0; 6]);
-
-fn settings(listen: &Listen) -> ClientSettings {
-    let on = |port| SocketAddr::new(listen.address, port);
-    ClientSettings {
-        control: on(listen.control_port),
-        normal_report: on(listen.normal_report_port),
-        real_time_report: on(listen.real_time_report_port),
-        reconnect_period: Duration::from_millis(50),
-        ..ClientSettings::new(listen.address)
-    }
-}
-
-fn start() -> (Emulator, Client) {
-    let emulator = Emulator::start(Listen::anywhere()).expect("free ports");
-    let client = Client::start(settings(&emulator.listen)).expect("threads");
-    (emulator, client)
-}
-
-/// Waits for a condition on what the client knows, doing something at 250 Hz meanwhile.
-fn wait(client: &Client, what: &str, mut each: impl FnMut(), condition: impl Fn(&Status) -> bool) -> Status {
-    let start = Instant::now();
-    loop {
-        let status = client.status();
-        if condition(&status) {
-            return status;
-        }
-        assert!(start.elapsed() < WATCHDOG, "{what} did not come: {status:?}");
-        each();
-        std::thread::sleep(Duration::from_millis(4));
-    }
-}
-
-fn is_connected(status: &Status) -> bool {
-    status.phase == Phase::Connected
-}
-
-fn bring_up(client: &Client) {
-    wait(client, "a connection", || {}, is_connected);
-    client.arm(Mode::CartesianVelocity);
-    wait(client, "ready", || {}, |status| status.phase == Phase::Ready);
-}
-
-fn is_running(status: &Status) -> bool {
-    status.report.is_some_and(|report| report.state == ArmState::Running)
-}
-
-fn is_resting(status: &Status) -> bool {
-    status.report.is_some_and(|report| report.state == ArmState::Ready)
-}
+use super::*;
 
 #[test]
 fn it_brings_the_arm_up_moves_it_and_grips() {

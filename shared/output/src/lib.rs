@@ -1,0 +1,375 @@
+//! Files that a command writes: checked before the command starts, and written whole or not at all.
+//!
+//! ```text
+//! before anything starts   OutputFile::check ─▶ folder there and writable? target no folder?
+//! at the end               write ─▶ temporary file beside ─▶ fsync ─▶ rename over the target
+//!                          collect ─▶ every file is written, whatever became of the others; all errors at once
+//! ```
+//!
+//! A file that is there already is replaced: people run a command again with the same options. It stays whole until the
+//! new one is complete, and [`OutputFile::replaces`] lets the command say so before it starts. Devices and pipes, such
+//! as /dev/stdout, are written to directly.
+#![forbid(unsafe_code)]
+
+use std::fmt::{self, Display};
+use std::fs::{self, File, OpenOptions, Permissions};
+use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use tempfile::NamedTempFile;
+
+/// Permissions of a new file, less the umask.
+const MODE: u32 = 0o666;
+
+/// Why a file cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum OutputError {
+    /// The folder of the file does not exist.
+    #[error("{}: there is no folder {}: make it first (mkdir -p), or name another", path.display(), folder.display())]
+    NoFolder {
+        /// The file.
+        path: PathBuf,
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// The path names a folder.
+    #[error("{} is a folder: name a file in it", path.display())]
+    IsFolder {
+        /// The path.
+        path: PathBuf,
+    },
+    /// A folder is wanted, and the path names something else.
+    #[error("{} is no folder: name another", path.display())]
+    NotAFolder {
+        /// The path.
+        path: PathBuf,
+    },
+    /// Two outputs would go to one file.
+    #[error("{} is named for two outputs: give each a file of its own", path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The system refuses.
+    #[error("cannot write {}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The content cannot be made.
+    #[error("{}: {reason}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// All errors of the files of one command, each on a line of its own.
+#[derive(Debug)]
+pub struct OutputErrors(Vec<OutputError>);
+
+impl Display for OutputErrors {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, error) in self.0.iter().enumerate() {
+            let separator = if index == 0 { "" } else { "\n" };
+            write!(out, "{separator}{error}")?;
+            let mut cause = std::error::Error::source(error);
+            while let Some(error) = cause {
+                write!(out, ": {error}")?;
+                cause = error.source();
+            }
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for OutputErrors {}
+
+/// Gathers the errors of several outputs. The iterator runs to its end, so every output is written.
+///
+/// # Errors
+///
+/// Everything that failed.
+pub fn collect(results: impl IntoIterator<Item = Result<(), OutputError>>) -> Result<(), OutputErrors> {
+    let errors: Vec<OutputError> = results.into_iter().filter_map(Result::err).collect();
+    if errors.is_empty() { Ok(()) } else { Err(OutputErrors(errors)) }
+}
+
+/// A file to be written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutputFile {
+    path: PathBuf,
+    /// The file itself where `path` is a symbolic link to it.
+    target: PathBuf,
+    state: State,
+}
+
+/// What is there before the file is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Nothing,
+    File,
+    /// A device or a pipe.
+    Special,
+}
+
+impl OutputFile {
+    /// Checks that the file can be written, without changing anything.
+    ///
+    /// # Errors
+    ///
+    /// When the folder is missing or not writable, or the path names a folder.
+    pub fn check(path: &Path) -> Result<OutputFile, OutputError> {
+        let owned = || path.to_owned();
+        // The link and not its target would be replaced.
+        let target = fs::canonicalize(path).unwrap_or_else(|_| owned());
+        let state = match fs::metadata(&target) {
+            Ok(metadata) if metadata.is_dir() => return Err(OutputError::IsFolder { path: owned() }),
+            Ok(metadata) if metadata.is_file() => State::File,
+            Ok(_) => State::Special,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => State::Nothing,
+            Err(source) => return Err(OutputError::Write { path: owned(), source }),
+        };
+        let file = OutputFile { path: owned(), target, state };
+        if state == State::Special {
+            return Ok(file);
+        }
+        let folder = file.folder();
+        if !folder.is_dir() {
+            return Err(OutputError::NoFolder { path: owned(), folder: folder.to_owned() });
+        }
+        file.temporary().map(drop)?;
+        Ok(file)
+    }
+
+    /// Where the file goes.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether a file is there already, which will be replaced.
+    pub fn replaces(&self) -> bool {
+        self.state == State::File
+    }
+
+    /// Writes the file: `write` fills it. Until it is complete, what was there before stays.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be written, for instance because the disk is full.
+    pub fn write(&self, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), OutputError> {
+        if self.state == State::Special {
+            let file = OpenOptions::new().write(true).open(&self.target);
+            return file.and_then(|mut file| fill(&mut file, write)).map_err(|source| self.error(source));
+        }
+        let mut temporary = self.temporary()?;
+        fill(temporary.as_file_mut(), write)
+            .and_then(|()| temporary.as_file().sync_all())
+            .map_err(|source| self.error(source))?;
+        temporary.persist(&self.target).map_err(|error| self.error(error.error))?;
+        // So that the new name, too, survives a loss of power. Some file systems cannot; the file is whole all the same.
+        let _ = File::open(self.folder()).and_then(|folder| folder.sync_all());
+        Ok(())
+    }
+
+    /// Writes bytes.
+    ///
+    /// # Errors
+    ///
+    /// As [`OutputFile::write`].
+    pub fn write_bytes(&self, bytes: &[u8]) -> Result<(), OutputError> {
+        self.write(|out| out.write_all(bytes))
+    }
+
+    /// Writes JSON, indented. Numbers that are not finite become `null`.
+    ///
+    /// # Errors
+    ///
+    /// As [`OutputFile::write`].
+    pub fn write_json(&self, content: &impl Serialize) -> Result<(), OutputError> {
+        let mut bytes = serde_json::to_vec_pretty(content)
+            .map_err(|error| OutputError::Content { path: self.path.clone(), reason: error.to_string() })?;
+        bytes.push(b'\n');
+        self.write_bytes(&bytes)
+    }
+
+    fn folder(&self) -> &Path {
+        match self.target.parent() {
+            None => Path::new("/"),
+            Some(folder) if folder.as_os_str().is_empty() => Path::new("."),
+            Some(folder) => folder,
+        }
+    }
+
+    /// A temporary file beside the target, gone when dropped.
+    fn temporary(&self) -> Result<NamedTempFile, OutputError> {
+        tempfile::Builder::new()
+            .prefix(".tendon-")
+            .permissions(Permissions::from_mode(MODE))
+            .tempfile_in(self.folder())
+            .map_err(|source| self.error(source))
+    }
+
+    fn error(&self, source: io::Error) -> OutputError {
+        OutputError::Write { path: self.path.clone(), source }
+    }
+}
+
+fn fill(file: &mut File, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let mut buffered = BufWriter::new(file);
+    write(&mut buffered)?;
+    buffered.flush()
+}
+
+/// A folder to write files into.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutputFolder {
+    path: PathBuf,
+}
+
+impl OutputFolder {
+    /// Checks that the folder is there and writable, or can be made.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot, or the path names a file.
+    pub fn check(path: &Path) -> Result<OutputFolder, OutputError> {
+        // Without links and dots, so that every folder above is a parent.
+        let absolute = std::path::absolute(path)
+            .map_err(|source| OutputError::Write { path: path.to_owned(), source })?;
+        for folder in absolute.ancestors() {
+            match fs::metadata(folder) {
+                Ok(metadata) if metadata.is_dir() => {
+                    tempfile::tempfile_in(folder)
+                        .map_err(|source| OutputError::Write { path: path.to_owned(), source })?;
+                    break;
+                }
+                Ok(_) => return Err(OutputError::NotAFolder { path: folder.to_owned() }),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(source) => return Err(OutputError::Write { path: path.to_owned(), source }),
+            }
+        }
+        Ok(OutputFolder { path: path.to_owned() })
+    }
+
+    /// Where the folder is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Makes the folder if it is not there.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be made.
+    pub fn make(&self) -> Result<(), OutputError> {
+        fs::create_dir_all(&self.path)
+            .map_err(|source| OutputError::Write { path: self.path.clone(), source })
+    }
+}
+
+/// Checks that no two outputs go to the same file.
+///
+/// # Errors
+///
+/// [`OutputError::Twice`].
+pub fn check_distinct<'a>(files: impl IntoIterator<Item = &'a OutputFile>) -> Result<(), OutputError> {
+    let mut targets: Vec<PathBuf> = Vec::new();
+    for file in files.into_iter().filter(|file| file.state != State::Special) {
+        let target = std::path::absolute(&file.target).unwrap_or_else(|_| file.target.clone());
+        if targets.contains(&target) {
+            return Err(OutputError::Twice { path: file.path.clone() });
+        }
+        targets.push(target);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_new_file_is_written_and_nothing_else_is_left() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("report.json");
+        let file = OutputFile::check(&path).unwrap();
+        assert!(!file.replaces() && !path.exists(), "checking changes nothing");
+        file.write_json(&[f64::NAN, f64::INFINITY, 1.5]).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "[\n  null,\n  null,\n  1.5\n]\n");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        let mode = fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o400, 0o400);
+        assert!(OutputFile::check(&path).unwrap().replaces());
+    }
+
+    #[test]
+    fn what_was_there_stays_until_the_new_file_is_complete() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("report.json");
+        fs::write(&path, "old").unwrap();
+        let file = OutputFile::check(&path).unwrap();
+        let failed = file.write(|out| {
+            out.write_all(b"new")?;
+            Err(io::Error::from(io::ErrorKind::StorageFull))
+        });
+        assert!(matches!(failed, Err(OutputError::Write { .. })));
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        file.write_bytes(b"new").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_link_is_followed_and_stays_a_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let (real, link) = (folder.path().join("real"), folder.path().join("link"));
+        fs::write(&real, "old").unwrap();
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        OutputFile::check(&link).unwrap().write_bytes(b"new").unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::read_to_string(&real).unwrap(), "new");
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_refused_by_name_before_anything_starts() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = |path: &Path| OutputFile::check(path).unwrap_err().to_string();
+        assert!(refused(folder.path()).contains("is a folder"));
+        assert!(refused(&folder.path().join("missing/report.json")).contains("there is no folder"));
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        assert!(refused(&file.join("report.json")).contains("report.json"));
+        assert!(matches!(OutputFolder::check(&file), Err(OutputError::NotAFolder { .. })));
+        assert!(matches!(OutputFolder::check(&file.join("x")), Err(OutputError::Write { .. })));
+        OutputFolder::check(&folder.path().join("a/b")).unwrap();
+        assert!(!folder.path().join("a").exists(), "checking changes nothing");
+    }
+
+    #[test]
+    fn a_full_device_is_an_error_and_every_other_output_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let full = OutputFile::check(Path::new("/dev/full")).unwrap();
+        let good = OutputFile::check(&folder.path().join("good")).unwrap();
+        let errors = collect([full.write_bytes(b"x"), good.write_bytes(b"x"), full.write_json(&1)])
+            .unwrap_err()
+            .to_string();
+        assert_eq!(errors.lines().count(), 2, "{errors}");
+        assert!(errors.starts_with("cannot write /dev/full: "), "{errors}");
+        assert!(good.path().exists());
+    }
+
+    #[test]
+    fn two_outputs_in_one_file_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| OutputFile::check(&folder.path().join(name)).unwrap();
+        assert!(check_distinct(&[file("a"), file("b")]).is_ok());
+        assert!(matches!(check_distinct(&[file("a"), file("a")]), Err(OutputError::Twice { .. })));
+    }
+}
