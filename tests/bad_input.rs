@@ -155,8 +155,14 @@ fn a_session_name_that_cannot_be_one() {
 
 #[test]
 fn too_little_shared_memory() {
+    let settings = [
+        "acquisition.channels=1000",
+        "acquisition.sample_rate_hz=10000",
+        "acquisition.block_samples=1000",
+        "dsp.windows.window_samples=100000",
+    ];
     assert_refused(
-        &["--set", "acquisition.channels=1024", "--set", "acquisition.block_samples=100000"],
+        &settings.map(|setting| ["--set", setting]).concat(),
         &["/dev/shm", "MB free, but the session may need", "take fewer channels or shorter blocks"],
     );
 }
@@ -174,4 +180,14 @@ fn real_time_scheduling_is_had_or_refused() {
     } else {
         ended.assert_failed(2, &["scheduling.realtime = \"on\"", "was refused", "or use --realtime auto"]);
     }
+}
+
+#[test]
+fn a_path_that_is_not_utf_8() {
+    use std::os::unix::ffi::OsStrExt;
+    let odd = Path::new(std::ffi::OsStr::from_bytes(b"/tmp/m\xfcller/emg.csv"));
+    let parts = ["acquisition.replay.path", "not UTF-8", "rename"];
+    TendonBuilder::run(&unique_session()).arg("--replay").arg(odd).end().assert_failed(2, &parts);
+    let parts = ["inference.model", "not UTF-8", "rename"];
+    TendonBuilder::run_with_model(&unique_session(), odd).end().assert_failed(2, &parts);
 }

@@ -5,7 +5,8 @@
 //! bench ─┬─ hop ────▶ send ──200 messages/s──▶ receive (one a lane)     idle, then beside `busy`, one a core
 //!        ├─ live ───▶ tendon run --duration …
 //!        ├─ work ───▶ in this process
-//!        └─ replay ─▶ tendon run --config …
+//!        ├─ replay ─▶ tendon run --config …
+//!        └─ replays ▶ tendon run --config … (500 times, three at a time; only when asked for)
 //! ```
 //!
 //! `send`, `receive` and `busy` are this same program. Numbers of a shared machine vary
@@ -19,6 +20,7 @@ mod emg;
 mod hop;
 mod live;
 mod replay;
+mod replays;
 mod session;
 mod transports;
 mod work;
@@ -61,6 +63,8 @@ enum Command {
     Work,
     /// A recording of a minute through `tendon run`, as fast as it goes.
     Replay,
+    /// The same recording again and again, several at a time: all must end with the same result.
+    Replays(replays::ReplaysArguments),
     #[command(hide = true)]
     Send(hop::SendArguments),
     #[command(hide = true)]
@@ -83,6 +87,8 @@ struct Report {
     work: Option<Vec<work::Work>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     replay: Option<replay::Replay>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    replays: Option<replays::Replays>,
 }
 
 fn main() -> ExitCode {
@@ -123,6 +129,10 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             .then(|| replay::measure(cores))
             .transpose()?
             .flatten(),
+        replays: match &arguments.command {
+            Some(Command::Replays(replays)) => Some(replays::measure(*replays)?),
+            _ => None,
+        },
         live: is_chosen(|command| matches!(command, Command::Live))
             .then(|| live::measure(arguments.seconds, cores))
             .transpose()?

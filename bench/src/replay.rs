@@ -26,18 +26,7 @@ pub struct Replay {
 pub fn measure(cores: usize) -> anyhow::Result<Option<Replay>> {
     let Some(program) = session::program()? else { return Ok(None) };
     let directory = tempfile::tempdir().context("cannot make a folder for a recording")?;
-    let recording = directory.path().join("recording.csv");
-    let settings = directory.path().join("tendon.toml");
-
-    let mut config = Config { session: "bench-replay".parse()?, ..Config::default() };
-    write_recording(&config, &recording)?;
-    config.acquisition.source = Source::Replay;
-    let replay = &mut config.acquisition.replay;
-    replay.path = Some(recording);
-    replay.sample_rate_hz = Some(config.acquisition.sample_rate_hz);
-    replay.pace = Pace::Full;
-    std::fs::write(&settings, config.to_toml()).context("cannot write the settings of the replay")?;
-
+    let settings = prepare(directory.path(), RECORDING_S)?;
     let settings = settings.to_str().context("the temporary folder's name is not UTF-8")?;
     let idle = x_real_time(&program, settings)?;
     let busy = busy::saturate(cores)?;
@@ -49,6 +38,21 @@ pub fn measure(cores: usize) -> anyhow::Result<Option<Replay>> {
     Ok(Some(Replay { recording_s: RECORDING_S, x_real_time: idle, x_real_time_saturated: saturated }))
 }
 
+/// Writes `recording_s` seconds of simulated EMG into `directory`, and the settings for their replay at full speed.
+pub fn prepare(directory: &Path, recording_s: f64) -> anyhow::Result<PathBuf> {
+    let recording = directory.join("recording.csv");
+    let settings = directory.join("tendon.toml");
+    let mut config = Config { session: "bench-replay".parse()?, ..Config::default() };
+    write_recording(&config, &recording, recording_s)?;
+    config.acquisition.source = Source::Replay;
+    let replay = &mut config.acquisition.replay;
+    replay.path = Some(recording);
+    replay.sample_rate_hz = Some(config.acquisition.sample_rate_hz);
+    replay.pace = Pace::Full;
+    std::fs::write(&settings, config.to_toml()).context("cannot write the settings of the replay")?;
+    Ok(settings)
+}
+
 fn x_real_time(program: &PathBuf, settings: &str) -> anyhow::Result<f64> {
     session::run(program, &["--config", settings])?
         .replay_x_real_time
@@ -56,12 +60,12 @@ fn x_real_time(program: &PathBuf, settings: &str) -> anyhow::Result<f64> {
 }
 
 /// Writes a table of simulated EMG, one line a sample.
-fn write_recording(config: &Config, path: &Path) -> anyhow::Result<()> {
+fn write_recording(config: &Config, path: &Path, recording_s: f64) -> anyhow::Result<()> {
     let AcquisitionSettings { channels, sample_rate_hz, .. } = config.acquisition;
     let (mut emg, mut performance) = simulated(channels)?;
     let mut text = String::new();
     let mut frame = vec![0.0_f32; channels];
-    for _ in 0..(RECORDING_S * sample_rate_hz) as usize {
+    for _ in 0..(recording_s * sample_rate_hz) as usize {
         emg.fill_block(&mut performance, &mut frame);
         for (channel, sample) in frame.iter().enumerate() {
             let separator = if channel == 0 { "" } else { "," };

@@ -1,48 +1,55 @@
-//! Where samples come from.
+//! The sources that come with Tendon.
 
 use std::path::Path;
 
-use anyhow::Context;
-use tendon_config::{AcquisitionSettings, Gestures, Source as SourceKind};
+use anyhow::{Context, bail};
+use tendon_config::{AcquisitionSettings, Config, Gestures, Source as SourceKind};
 use tendon_emg_simulation::{Performance, Profile, Repeat, Script, SimulatedEmg};
+use tendon_gesture::Gesture;
 use tendon_messages::Truth;
 use tendon_recordings::ReplayStream;
+use tendon_source::{BlockMaker, Pace, Paced, Source, SourceError};
+use tendon_transport::Delivery;
 
 /// Gestures in a random sequence before it begins again.
 const RANDOM_GESTURES: usize = 1000;
 
-/// An open source of samples.
-#[allow(clippy::large_enum_variant, reason = "there is one of it in the process")]
-pub enum Source {
-    /// The simulated DAQ.
-    Simulate {
-        /// Makes the samples.
-        emg: SimulatedEmg,
-        /// Says which gesture is made.
-        performance: Performance,
-        /// What to tell the user.
-        description: String,
-    },
-    /// A recording.
-    Replay {
-        /// Gives the samples.
-        stream: ReplayStream,
-        /// What to tell the user.
-        description: String,
-    },
+/// Opens the source that the settings name, and says what to tell the user. A recording is read through once, so that
+/// a bad one is refused before anything moves.
+pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
+    let settings = &config.acquisition;
+    let pace = match config.delivery() {
+        Delivery::Live => Pace::True {
+            sample_rate_hz: settings.sample_rate_hz,
+            jitter_ns: settings.simulate.jitter_ms * 1e6,
+            seed: settings.simulate.seed,
+        },
+        Delivery::Lossless => Pace::Full,
+    };
+    let samples = settings.block_samples;
+    Ok(match settings.source {
+        SourceKind::Simulate => {
+            let (person, description) = SimulatedPerson::open(settings)?;
+            (Box::new(Paced::new(person, pace, samples)), description)
+        }
+        SourceKind::Replay => {
+            let (recording, description) = Recording::open(settings)?;
+            (Box::new(Paced::new(recording, pace, samples)), description)
+        }
+        SourceKind::Device => bail!(
+            "acquisition.source = \"device\": this program reads no device; acquisition.program names the one that does"
+        ),
+    })
 }
 
-impl Source {
-    /// Opens the source that `settings` name. A recording is read through once, so that a bad one is refused
-    /// before anything moves.
-    pub fn open(settings: &AcquisitionSettings) -> anyhow::Result<Source> {
-        match settings.source {
-            SourceKind::Simulate => Source::simulate(settings),
-            SourceKind::Replay => Source::replay(settings),
-        }
-    }
+/// The simulated person at the simulated amplifier.
+struct SimulatedPerson {
+    emg: SimulatedEmg,
+    performance: Performance,
+}
 
-    fn simulate(settings: &AcquisitionSettings) -> anyhow::Result<Source> {
+impl SimulatedPerson {
+    fn open(settings: &AcquisitionSettings) -> anyhow::Result<(SimulatedPerson, String)> {
         let simulate = &settings.simulate;
         let profile = match &simulate.profile {
             None => Profile::default(),
@@ -73,10 +80,27 @@ impl Source {
         };
         let description =
             format!("simulated DAQ, {gestures}, seed {}, profile: {}", simulate.seed, profile.source);
-        Ok(Source::Simulate { emg, performance, description })
+        Ok((SimulatedPerson { emg, performance }, description))
+    }
+}
+
+impl BlockMaker for SimulatedPerson {
+    fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError> {
+        self.emg.fill_block(&mut self.performance, samples);
+        let truth = self.performance.truth();
+        Ok(Some(Truth::new(Some(truth.gesture as u8), truth.since_sample)))
     }
 
-    fn replay(settings: &AcquisitionSettings) -> anyhow::Result<Source> {
+    fn set_gesture(&mut self, gesture: Gesture) {
+        self.performance.set_gesture(gesture);
+    }
+}
+
+/// A recording; its cues say which gesture is made.
+struct Recording(ReplayStream);
+
+impl Recording {
+    fn open(settings: &AcquisitionSettings) -> anyhow::Result<(Recording, String)> {
         let recording = settings.replay.recording(settings.channels);
         let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
         let summary = tendon_recordings::check(path, &recording)?;
@@ -86,27 +110,13 @@ impl Source {
         let stream = ReplayStream::open(path, &recording, settings.sample_rate_hz, settings.block_samples)?;
         let description =
             format!("{}, {:.1} s at {} Hz", path.display(), summary.duration_s, summary.sample_rate_hz);
-        Ok(Source::Replay { stream, description })
+        Ok((Recording(stream), description))
     }
+}
 
-    /// What to tell the user.
-    pub fn describe(&self) -> String {
-        match self {
-            Source::Simulate { description, .. } | Source::Replay { description, .. } => description.clone(),
-        }
-    }
-
-    /// Fills the next block, channel-major; gives the truth at its newest sample, or `None` at the end.
-    pub fn fill(&mut self, block: &mut [f32]) -> anyhow::Result<Option<Truth>> {
-        match self {
-            Source::Simulate { emg, performance, .. } => {
-                emg.fill_block(performance, block);
-                let truth = performance.truth();
-                Ok(Some(Truth::new(Some(truth.gesture as u8), truth.since_sample)))
-            }
-            Source::Replay { stream, .. } => Ok(stream
-                .next_block(block)?
-                .map(|block| Truth::new(block.cue.map(|gesture| gesture as u8), block.cue_since))),
-        }
+impl BlockMaker for Recording {
+    fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError> {
+        let block = self.0.next_block(samples).map_err(SourceError::new)?;
+        Ok(block.map(|block| Truth::new(block.cue.map(|gesture| gesture as u8), block.cue_since)))
     }
 }

@@ -15,20 +15,23 @@ fn main() -> ExitCode {
         let config = &process.config;
         let acquisition = &config.acquisition;
         let delivery = config.delivery();
+        let windows = Publisher::open(
+            &process.session,
+            &WINDOWS,
+            config.window_length(),
+            delivery,
+            process.control.stop_flag(),
+        )?;
         let dsp = Dsp {
             chain: SignalChain::new(&config.dsp, acquisition.channels, acquisition.sample_rate_hz)?,
-            windows: Publisher::open(
-                &process.session,
-                &WINDOWS,
-                config.window_length(),
-                delivery,
-                process.control.stop_flag(),
-            )?,
-            channels: acquisition.channels,
-            sample_rate_hz: acquisition.sample_rate_hz,
-            window_samples: config.dsp.windows.window_samples,
+            output: Output {
+                windows,
+                channels: acquisition.channels,
+                sample_rate_hz: acquisition.sample_rate_hz,
+                window_samples: config.dsp.windows.window_samples,
+                truth_before: Truth::default(),
+            },
             next_sample: None,
-            truth_before: Truth::default(),
             calibrated: false,
         };
         let blocks = Subscriber::open(&process.session, &BLOCKS, Some(Stage::Dsp), delivery)?;
@@ -43,15 +46,20 @@ fn main() -> ExitCode {
 
 struct Dsp {
     chain: SignalChain,
+    output: Output,
+    /// Index of the sample that comes next if none is missing.
+    next_sample: Option<u64>,
+    calibrated: bool,
+}
+
+/// Where windows go.
+struct Output {
     windows: Publisher<WindowHeader, f32>,
     channels: usize,
     sample_rate_hz: f64,
     window_samples: usize,
-    /// Index of the sample that comes next if none is missing.
-    next_sample: Option<u64>,
     /// The truth at the end of the block before.
     truth_before: Truth,
-    calibrated: bool,
 }
 
 impl Consumer<BlockHeader, f32> for Dsp {
@@ -61,18 +69,19 @@ impl Consumer<BlockHeader, f32> for Dsp {
         block: &Received<BlockHeader, f32>,
     ) -> anyhow::Result<Measured> {
         let header = block.header();
+        let (channels, sample_rate_hz) = (self.output.channels, self.output.sample_rate_hz);
         ensure!(
-            header.channels as usize == self.channels && header.sample_rate_hz == self.sample_rate_hz,
+            header.channels as usize == channels && header.sample_rate_hz == sample_rate_hz,
             "acquisition delivers {} channels at {} Hz, this session has {} at {} Hz: start all processes with \
              the same configuration",
             header.channels,
             header.sample_rate_hz,
-            self.channels,
-            self.sample_rate_hz
+            channels,
+            sample_rate_hz
         );
         let samples = header.samples as usize;
         ensure!(
-            samples > 0 && block.payload().len() == samples * self.channels,
+            samples > 0 && block.payload().len() == samples * channels,
             "a block of {} samples a channel holds {} values in all",
             samples,
             block.payload().len()
@@ -84,28 +93,26 @@ impl Consumer<BlockHeader, f32> for Dsp {
         }
         self.next_sample = Some(header.first_sample + samples as u64);
 
+        let Dsp { chain, output, .. } = self;
         let mut published_ns = None;
-        let mut from = 0;
-        while from < samples {
-            let push = self.chain.push(block.payload(), from);
-            from += push.consumed;
-            process.measurements.counts.replaced_samples += u64::from(push.replaced_samples);
-            if let Some(window) = push.window {
-                published_ns = self.publish(process, block, &window, from)?.or(published_ns);
-            }
-        }
-        self.truth_before = header.truth;
+        let replaced_samples = chain.push_block(block.payload(), |chain, window, end| {
+            published_ns = output.publish(process, block, chain, &window, end)?.or(published_ns);
+            anyhow::Ok(())
+        })?;
+        process.measurements.counts.replaced_samples += u64::from(replaced_samples);
+        self.output.truth_before = header.truth;
         self.report_calibration();
         Ok(process.measure(&block.trace(), published_ns))
     }
 }
 
-impl Dsp {
+impl Output {
     /// Publishes the window that ended with sample `end` of `block` (exclusive), unless it is too old.
     fn publish(
         &mut self,
         process: &mut StageProcess,
         block: &Received<BlockHeader, f32>,
+        chain: &SignalChain,
         window: &tendon_signal::Window,
         end: usize,
     ) -> anyhow::Result<Option<u64>> {
@@ -131,7 +138,7 @@ impl Dsp {
             first_captured_ns: trace.captured_ns.saturating_sub(duration_ns(self.window_samples - 1)),
             truth,
             replaced_samples: window.replaced_samples,
-            calibration_left_ms: (duration_ns(self.chain.calibration_left_samples()) / 1_000_000) as u32,
+            calibration_left_ms: (duration_ns(chain.calibration_left_samples()) / 1_000_000) as u32,
             activity: activity.number(),
         };
         let window_header = WindowHeader {
@@ -140,13 +147,14 @@ impl Dsp {
             channels: self.channels as u32,
             samples: self.window_samples as u32,
         };
-        let length = self.chain.window_len();
         let published_ns =
-            self.windows.publish(window_header, length, |payload| self.chain.write_window(payload))?;
+            self.windows.publish(window_header, chain.window_len(), |payload| chain.write_window(payload))?;
         process.measurements.counts.published = self.windows.published();
         Ok(Some(published_ns))
     }
+}
 
+impl Dsp {
     /// Says once, when the calibration has ended, which channels gave no signal.
     fn report_calibration(&mut self) {
         if self.calibrated {

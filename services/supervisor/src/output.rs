@@ -11,20 +11,29 @@ use tendon_output::OutputFile;
 use crate::Failure;
 
 /// Prints a line, or several, to standard output. Whoever reads it may stop doing so (`tendon evaluate … | head`):
-/// that is no fault, and the rest is not printed.
+/// that is not an error, and the rest is not printed.
 ///
 /// # Errors
 ///
 /// When standard output cannot be written for another reason, such as a full disk.
 pub fn print(text: impl Display) -> anyhow::Result<()> {
+    print_while_read(text).map(drop)
+}
+
+/// The same for a command that goes on until nobody reads any more: returns whether somebody still does.
+///
+/// # Errors
+///
+/// As [`print`].
+pub fn print_while_read(text: impl Display) -> anyhow::Result<bool> {
     let mut output = io::stdout().lock();
     match writeln!(output, "{text}").and_then(|()| output.flush()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        result => result.context("cannot write to standard output"),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        result => result.map(|()| true).context("cannot write to standard output"),
     }
 }
 
-/// Says something to the person who waits, on standard error; where that is closed, to nobody.
+/// Tells the person who waits something, on standard error; without one, nothing happens.
 pub fn tell(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");
 }

@@ -59,7 +59,7 @@ pub struct Works {
 }
 
 impl Works {
-    /// Says that so many `things` of `total` are done; fewer than before are the next work's.
+    /// Shows that `done` of `total` are done; a smaller number than before starts the next work.
     pub fn show(&mut self, done: usize, total: usize, things: &'static str, more: impl FnOnce() -> String) {
         if self.current.as_ref().is_none_or(|(before, _)| done < *before) {
             self.current = Some((0, Progress::of(total, things)));

@@ -96,13 +96,13 @@ impl fmt::Display for Mismatch {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ContractProblem {
     /// Metadata that are missing.
-    #[error("the metadata lack `{key}`, so nobody can know what it fits")]
+    #[error("the metadata lack `{key}`")]
     Missing {
         /// The key.
         key: &'static str,
     },
     /// Metadata that mean nothing.
-    #[error("the metadata's `{key}` is `{value}`, which makes no sense")]
+    #[error("the metadata's `{key}` is `{value}`, which is not valid")]
     Senseless {
         /// The key.
         key: &'static str,
@@ -140,7 +140,9 @@ pub enum ContractProblem {
         expected: Vec<i64>,
     },
     /// Outputs that are no probabilities: a softmax is missing.
-    #[error("its outputs are no probabilities, from 0 to 1 and 1 together, but {outputs:?}")]
+    #[error(
+        "its outputs are not probabilities (0 to 1, adding up to 1) but {outputs:?}: end the network with a softmax"
+    )]
     NoProbabilities {
         /// The outputs for a window of zeros.
         outputs: Vec<f32>,

@@ -20,6 +20,7 @@ use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::ValueType;
+use tendon_gesture::Class;
 
 pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
@@ -130,14 +131,12 @@ impl Classifier {
         };
         let (input, output) = names_of_tensors(&session, &contract).map_err(contract_error)?;
         let shape = input_shape(&contract);
-        let mut runner = Runner::new(session, [&input, &output], &shape, contract.classes.len())
+        let runner = Runner::new(session, [&input, &output], &shape, contract.classes.len())
             .map_err(|error| model_error(&error))?;
         let silence = vec![0.0; shape.iter().product::<i64>() as usize];
-        let outputs = runner.run(&silence).map_err(|error| model_error(&error))?;
-        if !are_probabilities(outputs) {
-            return Err(contract_error(ContractProblem::NoProbabilities { outputs: outputs.to_vec() }));
-        }
-        Ok(Classifier { path: model.to_owned(), contract, runner })
+        let mut classifier = Classifier { path: model.to_owned(), contract, runner };
+        classifier.classify(&silence)?;
+        Ok(classifier)
     }
 
     /// The model's file.
@@ -170,9 +169,20 @@ impl Classifier {
     ///
     /// # Errors
     ///
-    /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails.
+    /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails;
+    /// [`ClassifierError::Contract`] if the outputs are no probabilities.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
-        self.runner.run(window).map_err(ClassifierError::from)
+        self.probabilities(window).map(|(_, probabilities)| probabilities)
+    }
+
+    /// As [`Classifier::classify`], beside the classes.
+    fn probabilities(&mut self, window: &[f32]) -> Result<(&[Class], &[f32]), ClassifierError> {
+        let outputs = self.runner.run(window)?;
+        if !are_probabilities(outputs) {
+            let problem = ContractProblem::NoProbabilities { outputs: outputs.to_vec() };
+            return Err(ClassifierError::Contract { path: self.path.clone(), problem });
+        }
+        Ok((&self.contract.classes, outputs))
     }
 }
 

@@ -164,8 +164,8 @@ impl Recogniser {
                 return Ok(&self.probabilities);
             }
         }
-        let outputs = self.gestures.runner.run(window)?;
-        for (class, probability) in self.gestures.contract.classes.iter().zip(outputs) {
+        let (classes, outputs) = self.gestures.probabilities(window)?;
+        for (class, probability) in classes.iter().zip(outputs) {
             if let Class::Gesture(gesture) = class {
                 self.probabilities[gesture.index()] = *probability;
             }

@@ -1,4 +1,4 @@
-//! What no single key can tell: ranges, and whether the settings fit each other.
+//! Checks beyond the type of a key: ranges, and whether the settings fit each other.
 //!
 //! Ranges that concern one section stand in the library that the section belongs to.
 
@@ -32,9 +32,10 @@ impl Config {
     ///
     /// [`ConfigError::Value`] or [`ConfigError::Section`] for the first that does not.
     pub fn check(&self) -> Result<(), ConfigError> {
+        self.check_paths()?;
         self.check_samples()?;
         self.check_simulation()?;
-        self.check_replay()?;
+        self.check_source()?;
         self.check_windows()?;
         let acquisition = &self.acquisition;
         tendon_signal::SignalChain::new(&self.dsp, acquisition.channels, acquisition.sample_rate_hz)
@@ -43,6 +44,24 @@ impl Config {
         self.check_arm_on_the_network()?;
         self.robot.arm.check().map_err(section("robot.arm"))?;
         self.task.check().map_err(section("task"))
+    }
+
+    /// Refuses paths that no `tendon.toml` can hold.
+    pub(crate) fn check_paths(&self) -> Result<(), ConfigError> {
+        for (key, path) in [
+            ("acquisition.simulate.profile", &self.acquisition.simulate.profile),
+            ("acquisition.replay.path", &self.acquisition.replay.path),
+            ("inference.model", &self.inference.model),
+            ("inference.rest_move_model", &self.inference.rest_move_model),
+            ("inference.runtime_library", &self.inference.runtime_library),
+        ] {
+            if let Some(path) = path.as_ref().filter(|path| path.to_str().is_none()) {
+                let remedy =
+                    "the path is not UTF-8, which a configuration cannot hold: rename the file or folder";
+                return refuse(key, path.display(), remedy);
+            }
+        }
+        Ok(())
     }
 
     fn check_samples(&self) -> Result<(), ConfigError> {
@@ -96,8 +115,12 @@ impl Config {
         simulate.contraction().check().map_err(section("acquisition.simulate"))
     }
 
-    fn check_replay(&self) -> Result<(), ConfigError> {
+    fn check_source(&self) -> Result<(), ConfigError> {
         let acquisition = &self.acquisition;
+        if acquisition.source == Source::Device && acquisition.program.is_none() {
+            let remedy = "name the program that reads the device: acquisition.source is \"device\"";
+            return refuse("acquisition.program", "(none)", remedy);
+        }
         if let Some(rate_hz) = acquisition.replay.sample_rate_hz
             && !(1.0..=1_000_000.0).contains(&rate_hz)
         {
@@ -200,6 +223,15 @@ mod tests {
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.channels = Some(vec![Channel::Index(0)]);
         assert!(refusal(&config).contains("as many as acquisition.channels"));
+    }
+
+    #[test]
+    fn a_device_without_the_program_that_reads_it_is_refused() {
+        let mut config = Config::default();
+        config.acquisition.source = Source::Device;
+        assert!(refusal(&config).contains("acquisition.program"), "{}", refusal(&config));
+        config.acquisition.program = Some("acquire".into());
+        config.check().unwrap();
     }
 
     #[test]

@@ -15,26 +15,34 @@ impl Config {
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let mut config = Config::parse(&text, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        for setting in [
-            &mut config.acquisition.simulate.profile,
-            &mut config.acquisition.replay.path,
-            &mut config.inference.model,
-            &mut config.inference.rest_move_model,
-            &mut config.inference.runtime_library,
-        ] {
-            if let Some(value) = setting.as_mut() {
-                *value = folder.join(&value);
-            }
+        for file in config.files_mut() {
+            *file = folder.join(&file);
         }
+        config.check_paths()?;
         Ok(config)
     }
 
-    /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`. What
-    /// is no TOML value is taken as text.
+    /// Every file that the configuration names.
+    pub fn files_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        [
+            &mut self.acquisition.program,
+            &mut self.acquisition.simulate.profile,
+            &mut self.acquisition.replay.path,
+            &mut self.inference.model,
+            &mut self.inference.rest_move_model,
+            &mut self.inference.runtime_library,
+        ]
+        .into_iter()
+        .flatten()
+    }
+
+    /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`.
+    /// Anything that is not a TOML value counts as text.
     ///
     /// # Errors
     ///
-    /// [`ConfigError::Parse`] when there is no such key or the value does not fit it.
+    /// [`ConfigError::Parse`] when there is no such key or the value does not fit it, [`ConfigError::Value`] when a path
+    /// is not UTF-8.
     pub fn with(&self, assignment: &str) -> Result<Config, ConfigError> {
         let origin = PathBuf::from(format!("--set {assignment}"));
         let no_assignment = || ConfigError::Parse {
@@ -48,8 +56,8 @@ impl Config {
             .ok()
             .and_then(|mut table| table.remove("value"))
             .unwrap_or_else(|| toml::Value::String(value.to_owned()));
-        let mut root =
-            toml::Table::try_from(self).expect("a configuration has only what TOML can say: tested");
+        self.check_paths()?;
+        let mut root = toml::Table::try_from(self).expect("paths are UTF-8, all else TOML can say: tested");
         let mut table = &mut root;
         let mut keys = key.trim().split('.').peekable();
         while let Some(key) = keys.next() {
@@ -79,13 +87,17 @@ impl Config {
     }
 
     /// The configuration as the text of a `tendon.toml`.
+    ///
+    /// # Panics
+    ///
+    /// When a path is not UTF-8, which [`Config::check`] refuses.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("a configuration has only what TOML can say: tested")
+        toml::to_string(self).expect("paths are UTF-8: checked; all else TOML can say: tested")
     }
 }
 
-/// A sentence naming the known key or value nearest to the unknown one that `message` complains of. serde
-/// lists the known ones in backticks after the unknown one.
+/// A sentence with the known key or value nearest to the unknown one in `message`. serde lists the known ones
+/// in backticks after the unknown one.
 fn suggestion(message: &str) -> String {
     let Some(start) = message.find("unknown field").or_else(|| message.find("unknown variant")) else {
         return String::new();
@@ -201,6 +213,28 @@ mod tests {
             let error = config.with(assignment).unwrap_err().to_string();
             assert!(error.contains(expected) && error.contains(assignment), "{error}");
         }
+    }
+
+    #[test]
+    fn a_path_that_is_not_utf_8_is_refused_and_makes_nothing_panic() {
+        use std::os::unix::ffi::OsStrExt;
+        let odd = Path::new(std::ffi::OsStr::from_bytes(b"m\xfcller"));
+        let mut config = Config::default();
+        config.acquisition.replay.path = Some(odd.join("emg.csv"));
+        for refused in [config.check(), config.with("session=other").map(drop)] {
+            let message = refused.unwrap_err().to_string();
+            assert!(
+                message.starts_with("acquisition.replay.path = ") && message.contains("rename"),
+                "{message}"
+            );
+        }
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join(odd)).unwrap();
+        let path = folder.path().join(odd).join("tendon.toml");
+        std::fs::write(&path, "[inference]\nmodel = \"x.onnx\"\n").unwrap();
+        assert!(Config::read(&path).unwrap_err().to_string().contains("inference.model = "));
+        std::fs::write(&path, "[inference]\nmodel = \"/x.onnx\"\n").unwrap();
+        Config::read(&path).unwrap();
     }
 
     #[test]

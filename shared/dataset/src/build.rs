@@ -1,4 +1,4 @@
-//! Writes the data set of many recordings, on several threads, and goes on where it was interrupted.
+//! Builds the data set of many recordings on several threads; continues a build that was interrupted.
 
 use std::fs;
 use std::io;
@@ -72,7 +72,7 @@ pub enum DatasetError {
         test_people: Vec<u16>,
     },
     /// The build was broken off.
-    #[error("interrupted: the same command goes on where {} stands", .out_dir.display())]
+    #[error("interrupted: run the same command again to continue the build in {}", .out_dir.display())]
     Interrupted {
         /// Folder of the data set.
         out_dir: PathBuf,
@@ -109,7 +109,7 @@ pub enum DatasetError {
 /// How a data set is built from its settings and recordings.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BuildSettings {
-    /// People all of whose windows are for the test; nobody else's are.
+    /// People held out: all their windows are for the test, and no others.
     pub test_people: Vec<u16>,
     /// Seed of the choice of windows for validation.
     pub seed: u64,
@@ -166,7 +166,7 @@ pub fn build(
                     };
                     give(Step::Outcome(outcome), bytes)
                 });
-                // Should the other side have broken off, nobody needs this.
+                // If the other side has stopped, nothing more is needed.
                 let notices = given.map(|(notices, _)| notices).map_err(|error| recording.skipped(&error));
                 let _ = give(Step::End(notices), 0);
             },
@@ -218,8 +218,8 @@ struct Builder<'a> {
 }
 
 impl<'a> Builder<'a> {
-    /// Opens the data set in `out_dir` to go on with it, or begins it; and whether something else was found there
-    /// that had not come to its end.
+    /// Opens the data set in `out_dir` to continue it, or starts a new one; and whether an unfinished build of something
+    /// else was found there.
     fn open(
         settings: &'a DatasetSettings,
         found: &Recordings,

@@ -140,7 +140,7 @@ pub(crate) fn trials(
         let block = stream.next_piece(&mut piece, PIECE_SAMPLES)?;
         if block.is_none_or(|block| block.segment != segment) {
             let part = Part { recording, segment: &segments[segment], first_sample, is_divided };
-            // What the file does not hold to its end is none of its trials: told below.
+            // A trial that the file does not contain to its end is reported below.
             let is_cut_off = block.is_none() && part.ends_after(stream.source().position());
             if !is_cut_off
                 && let Some(outcome) = part.outcome(settings, &signal)?
@@ -165,15 +165,11 @@ pub(crate) fn trials(
         }
     }
     let file_samples = stream.source().position();
-    for segment in &segments[segment..] {
+    let cut_off = segments[segment..].iter().filter(|segment| segment.repetition.is_some());
+    for segment in cut_off {
         let part = Part { recording, segment, first_sample, is_divided };
-        if segment.repetition.is_some() && part.ends_after(file_samples) {
-            let end = segment.end_sample.unwrap_or_default();
-            let reason = format!("it lasts to sample {end}, but the file has only {file_samples}");
-            let outcome = Outcome::Skipped(SkippedEntry { path: segment.file.clone(), reason });
-            if on_trial(outcome).is_break() {
-                break;
-            }
+        if part.ends_after(file_samples) && on_trial(part.cut_off(file_samples)).is_break() {
+            break;
         }
     }
     Ok((notices, samples))
@@ -218,6 +214,13 @@ impl Part<'_> {
         self.segment.end_sample.is_some_and(|end| end > file_samples)
     }
 
+    /// A trial that its file does not contain to its end.
+    fn cut_off(&self, file_samples: u64) -> Outcome {
+        let end = self.segment.end_sample.unwrap_or_default();
+        let reason = format!("it ends at sample {end}, but the file has only {file_samples}");
+        Outcome::Skipped(SkippedEntry { path: self.segment.file.clone(), reason })
+    }
+
     fn skipped(&self, signal: &Signal, reason: String) -> Outcome {
         let reason = if self.is_divided {
             let end = self.first_sample + signal.samples as u64;
@@ -232,10 +235,11 @@ impl Part<'_> {
     fn outcome(&self, settings: &DatasetSettings, signal: &Signal) -> Result<Option<Outcome>, DesignError> {
         let Segment { file, repetition: Some(repetition), cue, .. } = self.segment else { return Ok(None) };
         let Some(gesture) = *cue else {
-            return Ok(Some(self.skipped(signal, "its gesture is none of the six".to_owned())));
+            return Ok(Some(self.skipped(signal, "its gesture is not one of the six".to_owned())));
         };
         if signal.replaced_samples > 0 {
-            let reason = format!("{} samples are beyond what any amplifier gives", signal.replaced_samples);
+            let reason =
+                format!("{} samples are larger than any amplifier delivers", signal.replaced_samples);
             return Ok(Some(self.skipped(signal, reason)));
         }
         let channels = settings.channels.len();
@@ -289,7 +293,7 @@ impl Part<'_> {
     }
 }
 
-/// The moving RMS of every channel of a trial, which begins anew.
+/// The moving RMS of every channel of a trial, starting from zero.
 fn envelope_of(
     mut signal: Vec<f32>,
     samples: usize,

@@ -5,8 +5,8 @@
 //! 77ab03d1 {"windows":24,"checksum":…,"trials":[…],…}       after each recording, its windows being written
 //! └ checksum of the line
 //! ```
-//! A build of the same goes on after the last line that is whole and whose windows are in `windows.npy` as they
-//! were written. Whatever else is found is written anew.
+//! The next build of the same data set continues after the last line that is intact and whose windows in
+//! `windows.npy` match their checksum. Everything after it is rebuilt.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -87,7 +87,7 @@ impl From<io::Error> for JournalError {
 }
 
 impl Journal {
-    /// Opens the journal in `folder` to go on with what it tells, or begins one.
+    /// Opens the journal in `folder` to continue the build it records, or starts a new one.
     pub(crate) fn open(
         folder: &Path,
         settings: &DatasetSettings,
@@ -166,7 +166,7 @@ fn line(content: &impl Serialize) -> io::Result<Vec<u8>> {
     Ok(format!("{:08x} {json}\n", crc32fast::hash(json.as_bytes())).into_bytes())
 }
 
-/// What a line tells, if it is whole.
+/// The content of a line, if it is intact.
 fn parse(line: &[u8]) -> Option<Finished> {
     let text = std::str::from_utf8(line.strip_suffix(b"\n")?).ok()?;
     let (checksum, json) = text.split_once(' ')?;

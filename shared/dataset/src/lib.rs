@@ -10,8 +10,8 @@
 //!                                      [──────]  …  each wholly between the onset and the end of the trial
 //! ```
 //! The classifier sees live just such windows: the filter has been running, and no look into the future is
-//! taken, but for the choice of where a gesture begins. [`cut`] gives the windows of a recording in passing, [`build`]
-//! writes those of many.
+//! taken, except in choosing where a gesture begins. [`cut`] yields the windows of one recording without storing them;
+//! [`build`] writes those of many.
 //!
 //! # What is written
 //! | file | content |
@@ -25,7 +25,7 @@
 //! | `splits.npy` | uint8 `[n]`, what the window is for: a [`Split`] |
 //! | `manifest.json` | [`Manifest`]: settings, counts, and what became of each trial |
 //!
-//! While it is built, `progress.jsonl` tells which recordings are finished.
+//! During the build, `progress.jsonl` records which recordings are finished.
 //!
 //! ```text
 //! settings ─▶ listing ─▶ recording ─▶ cut ─▶ build ─▶ windows.npy, manifest.json ─▶ stored

@@ -1,4 +1,4 @@
-//! Which recordings lie under the paths that are given, whatever their layout.
+//! Finds the recordings below the given paths, in any known layout.
 
 mod problem;
 
@@ -51,7 +51,7 @@ pub struct Recordings {
     pub skipped: Vec<SkippedEntry>,
 }
 
-/// Lists the recordings at or below `paths`. What lies there tells the layout:
+/// Lists the recordings at or below `paths`. The layout follows from what is found there:
 ///
 /// | found | recordings |
 /// |---|---|
@@ -60,11 +60,10 @@ pub struct Recordings {
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
 /// | a folder with `labels.csv` | the tables that it names |
 ///
-/// What looks like a recording and is none of these is listed as skipped.
+/// Files that look like recordings but match none of these are listed as skipped.
 ///
 /// # Errors
-/// When there is no recording under one of the paths, they are of several layouts, somebody's recording is there
-/// twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate), `labels.csv` is
+/// When there is no recording below one of the paths, the layouts differ, the same recording is found twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate), `labels.csv` is
 /// wrong, or a folder cannot be read.
 pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, ListingError> {
     let mut found = Found::default();
@@ -152,9 +151,9 @@ impl Found {
         let is_three_dc = three_dc::parse_file_name(path).is_some();
         let is_text = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
         if is_three_dc {
-            self.skip(path, "its folder is no ParticipantP/train/EMG or ParticipantP/test/EMG");
+            self.skip(path, "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG");
         } else if is_table(path) && !is_text {
-            self.skip(path, "its name is no P<person>_C<cycle>_G<gesture>.csv, and no labels.csv names it");
+            self.skip(path, "its name is not P<person>_C<cycle>_G<gesture>.csv, and no labels.csv names it");
         }
         Ok(0)
     }
@@ -212,7 +211,7 @@ fn three_dc_recordings(
         }
         for path in entries(folder)? {
             if is_table(&path) && three_dc::parse_file_name(&path).is_none() {
-                skipped.push(SkippedEntry { path, reason: format!("its name is no {names}") });
+                skipped.push(SkippedEntry { path, reason: format!("its name is not {names}") });
             }
         }
         recordings.extend(repetitions.into_iter().map(|repetition| Recording {
@@ -254,7 +253,7 @@ fn mat_recordings(
                     return Err(ListingError::Twice { what, first: first.clone(), second: file.clone() });
                 }
             },
-            Ok(None) => "neither its variable iD nor a number in its name tells the person".to_owned(),
+            Ok(None) => "neither its variable iD nor a number in its name identifies the person".to_owned(),
             Err(error) => error.to_string(),
         };
         skipped.push(SkippedEntry { path: file.clone(), reason });

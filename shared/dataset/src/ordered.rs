@@ -1,7 +1,7 @@
 //! Work on several threads whose results are taken in the order of the items, as if there were one thread.
 //!
 //! ```text
-//! items 0 1 2 3 4 …   ─▶ threads, each the next item that nobody has taken
+//! items 0 1 2 3 4 …   ─▶ threads, each takes the next free item
 //!       results of 0  ─┐
 //!       results of 1  ─┼▶ taken on the calling thread: all of 0, then all of 1, …
 //!       results of 2  ─┘
@@ -21,7 +21,7 @@ const MAX_WAITING_BYTES: usize = 64 << 20;
 pub(crate) type Give<'a, R> = dyn FnMut(R, usize) -> ControlFlow<()> + 'a;
 
 struct State<R> {
-    /// The first item that nobody has taken.
+    /// The first item that has not been taken.
     next: usize,
     /// The item whose results are being taken.
     front: usize,
@@ -111,7 +111,7 @@ impl<R> Shared<R> {
                 return ControlFlow::Break(());
             }
             let has_room = state.waiting_bytes + bytes <= MAX_WAITING_BYTES;
-            // Whoever is at the front always has room for one result, or nobody could go on.
+            // The thread at the front always has room for one result; otherwise all would wait.
             let is_awaited = index == state.front
                 && state.results.get(&index).is_none_or(|results| results.waiting.is_empty());
             if has_room || is_awaited {

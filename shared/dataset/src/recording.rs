@@ -23,7 +23,7 @@ pub struct Recording {
     pub(crate) content: Content,
 }
 
-/// What tells a recording's samples and trials.
+/// Where a recording's samples are, and how its trials are found.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Content {
     /// A repetition of a 3DC folder.

@@ -30,7 +30,7 @@ const THREE_DC_TWINS: [u16; 2] = [13, 14];
 pub enum Split {
     /// A model learns from it.
     Training = 0,
-    /// It tells when a model has learned enough.
+    /// It shows when a model has learned enough.
     Validation = 1,
     /// It tests a model, which has never seen its person.
     Test = 2,

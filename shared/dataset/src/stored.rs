@@ -12,7 +12,7 @@ use crate::split::Split;
 
 /// Why a data set cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {problem}; build the data set anew with `tendon dataset build`", path.display())]
+#[error("{}: {problem}; rebuild the data set with `tendon dataset build`", path.display())]
 pub struct StoredDatasetError {
     /// The file.
     pub path: PathBuf,
@@ -29,7 +29,7 @@ pub enum StoredDatasetProblem {
     /// The manifest is not what this version writes.
     #[error("is damaged or of an older version ({0})")]
     Manifest(serde_json::Error),
-    /// A file is no array, or not the one it should be.
+    /// A file that is not an array, or not the expected one.
     #[error("{0}")]
     Array(NpyError),
     /// Windows of another shape.
@@ -56,7 +56,7 @@ pub enum StoredDatasetProblem {
         /// Its label.
         label: usize,
     },
-    /// A split that is none.
+    /// A number that stands for no split.
     #[error("window {window} is of split {split}, not 0, 1 or 2")]
     Split {
         /// The window.
@@ -65,7 +65,7 @@ pub enum StoredDatasetProblem {
         split: u8,
     },
     /// Windows of one trial are scattered.
-    #[error("the windows of a recording do not follow on each other")]
+    #[error("the windows of a recording are not next to each other")]
     Scattered,
 }
 

@@ -102,7 +102,7 @@ fn a_data_set_is_cut_as_its_manifest_says() {
         assert_eq!(file.fallback, file.gesture != Gesture::Rest && file.onset_sample.is_none());
     }
     let reasons: Vec<&str> = manifest.skipped.iter().map(|skipped| skipped.reason.as_str()).collect();
-    assert!(reasons.contains(&"its gesture is none of the six"), "{reasons:?}");
+    assert!(reasons.contains(&"its gesture is not one of the six"), "{reasons:?}");
     assert!(
         reasons.iter().any(|reason| reason.contains("line 2, column 2: missing sample `NULL`")),
         "{reasons:?}"

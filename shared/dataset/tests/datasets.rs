@@ -434,7 +434,7 @@ fn a_data_set_that_says_of_no_window_what_it_is_for_is_refused() {
     StoredDataset::open(&out).unwrap();
     fs::remove_file(out.join("splits.npy")).unwrap();
     let message = StoredDataset::open(&out).unwrap_err().to_string();
-    assert!(message.contains("splits.npy") && message.contains("build the data set anew"), "{message}");
+    assert!(message.contains("splits.npy") && message.contains("rebuild the data set"), "{message}");
 }
 
 /// Labels for recordings at 1000 Hz.
@@ -494,7 +494,7 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     assert!(reason("nobody.csv", "has no label for it"), "{skipped:?}");
     assert!(reason("missing.csv", "labels.csv, line 8, names it, but there is no such file"), "{skipped:?}");
     assert!(reason("monday.csv", "line 4: gesture `fist` is none of rest, extension"), "{skipped:?}");
-    assert!(reason("monday.csv", "it lasts to sample 4100, but the file has only 4000"), "{skipped:?}");
+    assert!(reason("monday.csv", "it ends at sample 4100, but the file has only 4000"), "{skipped:?}");
 
     // The filter runs through the whole file: the same samples, in one piece.
     let whole = temporary.path().join("whole");
@@ -591,7 +591,7 @@ fn a_file_a_trial_is_told_by_its_name() {
     let reasons: Vec<&str> = manifest.skipped.iter().map(|entry| entry.reason.as_str()).collect();
     assert_eq!(reasons.len(), 2, "{reasons:?}");
     assert!(reasons[0].contains("P<person>_C<cycle>_G<gesture>.csv"), "{reasons:?}");
-    assert_eq!(reasons[1], "its gesture is none of the six");
+    assert_eq!(reasons[1], "its gesture is not one of the six");
 
     write_table(&folder.join("P02_C0_G1.csv"), 1, 3000);
     let message = build(&settings, &BuildSettings::default(), &folder, &out).unwrap_err().to_string();
@@ -724,7 +724,7 @@ fn recordings_of_several_layouts_or_none_are_refused() {
     write_table(&tables.join("a.csv"), 1, 10);
     let none = message(&[folder.clone(), tables.clone()]);
     assert!(
-        none.contains("no recordings found") && none.contains("a.csv: its name is no P<person>"),
+        none.contains("no recordings found") && none.contains("a.csv: its name is not P<person>"),
         "{none}"
     );
     assert!(message(&[temporary.path().join("nowhere")]).contains("cannot open"));

@@ -7,9 +7,8 @@
 //! weights that fall to zero at its neighbours (0 Hz before the first), the counterpart of the linear
 //! interpolation with which they are used.
 
-use realfft::RealFftPlanner;
-use realfft::num_complex::Complex;
 use tendon_gesture::Gesture;
+use tendon_spectrum::{Complex, RealToComplex, plan_real_fft};
 
 use crate::profile::{Coherency, GestureProfile, Profile, cholesky};
 
@@ -123,7 +122,7 @@ pub fn fit(segments: &[Segment<'_>], settings: &FitSettings) -> Result<Profile, 
 struct Spectra {
     channels: usize,
     window: Vec<f64>,
-    fft: std::sync::Arc<dyn realfft::RealToComplex<f64>>,
+    fft: std::sync::Arc<dyn RealToComplex<f64>>,
     bin_hz: f64,
     /// Bins that are not mains.
     usable_bins: Vec<usize>,
@@ -157,7 +156,7 @@ impl Spectra {
         Spectra {
             channels,
             window,
-            fft: RealFftPlanner::new().plan_fft_forward(frame),
+            fft: plan_real_fft(frame),
             bin_hz,
             usable_bins: (0..=frame / 2).filter(|bin| !is_mains(*bin)).collect(),
             frames: 0,

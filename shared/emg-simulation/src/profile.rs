@@ -1,9 +1,9 @@
 //! What one person's muscles look like at the electrodes: for every gesture, a spectrum per channel and the
 //! coherency of every pair of channels. Nothing in a profile depends on a sampling rate.
 
-use realfft::num_complex::Complex;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_spectrum::Complex;
 
 /// A small file in the crate: `profiles/default.toml`.
 const DEFAULT_PROFILE: &str = include_str!("../profiles/default.toml");

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use realfft::num_complex::Complex;
+use tendon_spectrum::Complex;
 
 use crate::profile::{GestureProfile, Matrix, cholesky};
 

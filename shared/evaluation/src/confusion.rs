@@ -24,7 +24,7 @@ pub struct ClassScores {
 }
 
 impl Confusion {
-    /// No answers yet, for so many classes.
+    /// No answers yet, for this many classes.
     pub fn new(classes: usize) -> Confusion {
         Confusion { classes, counts: vec![0; classes * classes] }
     }

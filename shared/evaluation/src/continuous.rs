@@ -22,7 +22,7 @@ pub struct CuePart {
     pub gesture: Option<Gesture>,
     /// First sample of the cue.
     pub start: u64,
-    /// From here on windows show the gesture; `None` if nobody can say.
+    /// From here on windows show the gesture; `None` if unknown.
     pub begun: Option<u64>,
     /// Where the movement begins, if an onset was found.
     pub onset: Option<u64>,
@@ -218,23 +218,7 @@ impl StrategyTally {
                     None => self.never_answered += 1,
                 }
             }
-            let Some(begun) = cue.begun else { continue };
-            let inside = |step: &&Step| step.first_sample >= begun && step.end_sample <= cue.end;
-            let mut direction_before = None;
-            for step in steps.iter().filter(inside) {
-                for scores in [&mut self.per_gesture, &mut here] {
-                    scores.entry(gesture).or_default().add(gesture, step.gesture);
-                }
-                if step.gesture != gesture {
-                    *self.mistaken.entry(gesture).or_default().entry(step.gesture).or_default() += 1;
-                }
-                let direction =
-                    Some(step.voted).filter(|voted| ![Gesture::Rest, Gesture::Grip].contains(voted));
-                if let (Some(before), Some(now)) = (direction_before, direction) {
-                    self.direction_changes += u64::from(before != now);
-                }
-                direction_before = direction;
-            }
+            self.add_windows(cue, gesture, steps, &mut here);
         }
         self.per_repetition.push(RepetitionScores {
             person,
@@ -245,6 +229,32 @@ impl StrategyTally {
                 .map(|(gesture, windows)| (gesture.name().to_owned(), windows.correct_percent))
                 .collect(),
         });
+    }
+
+    /// Scores the windows of a cue that show its gesture; `here` counts those of the recording.
+    fn add_windows(
+        &mut self,
+        cue: &CuePart,
+        gesture: Gesture,
+        steps: &[Step],
+        here: &mut BTreeMap<Gesture, GestureWindows>,
+    ) {
+        let Some(begun) = cue.begun else { return };
+        let inside = |step: &&Step| step.first_sample >= begun && step.end_sample <= cue.end;
+        let mut direction_before = None;
+        for step in steps.iter().filter(inside) {
+            for scores in [&mut self.per_gesture, &mut *here] {
+                scores.entry(gesture).or_default().add(gesture, step.gesture);
+            }
+            if step.gesture != gesture {
+                *self.mistaken.entry(gesture).or_default().entry(step.gesture).or_default() += 1;
+            }
+            let direction = Some(step.voted).filter(|voted| ![Gesture::Rest, Gesture::Grip].contains(voted));
+            if let (Some(before), Some(now)) = (direction_before, direction) {
+                self.direction_changes += u64::from(before != now);
+            }
+            direction_before = direction;
+        }
     }
 
     /// The scores so far.

@@ -58,7 +58,7 @@ pub struct ConfusedPair {
     pub windows: u64,
 }
 
-/// How much values differ. Every value counts the same; all are 0 where there is none.
+/// How much values differ. Every value counts the same; all are 0 without values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Mean.

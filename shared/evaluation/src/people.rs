@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-/// Why nobody, or not somebody asked for, can be scored.
+/// Why the people asked for cannot be scored.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PeopleError {
     /// Somebody of whom there are no recordings.
@@ -40,7 +40,7 @@ pub enum PeopleError {
 /// The people to score among the `known` ones: those `wanted`, or else all; but none whom a model was `trained` on.
 ///
 /// # Errors
-/// When somebody wanted is not known or was trained on, or nobody is left.
+/// When one of them is unknown or was trained on, or nobody is left.
 pub fn chosen_people(
     known: &BTreeSet<u16>,
     wanted: &[u16],

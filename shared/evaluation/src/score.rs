@@ -1,4 +1,4 @@
-//! Scores a model on windows: those of a data set, or those cut from recordings in passing.
+//! Scores a model on windows: those of a data set, or those cut from recordings on the fly.
 //!
 //! ```text
 //! data set ──▶ windows ──┐
@@ -63,7 +63,7 @@ pub enum ScoreError {
     #[error(transparent)]
     People(#[from] PeopleError),
     /// Not a single window of what the model knows.
-    #[error("{}: no window of what the model knows ({classes}){reasons}", .path.display())]
+    #[error("{}: no window shows what the model knows ({classes}){reasons}", .path.display())]
     NoWindows {
         /// The data set, or the first of the recordings.
         path: PathBuf,
@@ -89,10 +89,10 @@ impl ScoreError {
     }
 }
 
-/// How far a scoring has come: this many of so many.
+/// How far a scoring has come: done, and in total.
 pub type OnProgress<'a> = dyn FnMut(usize, usize) + 'a;
 
-/// Windows between two reports of progress, and between two looks at memory that is no longer needed.
+/// Windows between two reports of progress, and between two releases of memory.
 const WINDOWS_A_ROUND: usize = 256;
 
 /// Scores `classifier` on the data set in `folder`. `wanted` are the people to score; when empty, all whom the model
@@ -215,7 +215,7 @@ struct Window<'a> {
     gesture: Gesture,
     person: u16,
     repetition: u8,
-    /// What tells windows of one trial from those of the next.
+    /// A different number for each trial.
     trial: u64,
 }
 

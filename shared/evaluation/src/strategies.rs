@@ -89,7 +89,7 @@ pub fn with_trials(settings: &DatasetSettings, recordings: Vec<Recording>) -> (V
     for recording in recordings {
         match cut(settings, &recording, &mut |_| {}) {
             Ok(cut) if cut.trials.is_empty() => {
-                skipped.push(format!("{}: holds none of the six gestures", recording.path.display()));
+                skipped.push(format!("{}: contains none of the six gestures", recording.path.display()));
             }
             Ok(cut) => usable.push(WithTrials { recording, trials: cut.trials }),
             Err(error) => skipped.push(error.to_string()),

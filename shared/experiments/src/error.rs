@@ -108,7 +108,7 @@ pub enum ExperimentError {
         message: String,
     },
     /// The report of a live session that cannot be read.
-    #[error("{} is no report: {reason}", .path.display())]
+    #[error("{} is not a report: {reason}", .path.display())]
     Report {
         /// The file.
         path: PathBuf,

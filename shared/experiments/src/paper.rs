@@ -8,7 +8,7 @@ use serde::Deserialize;
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Paper {
-    /// By name of the model's plan; `window-300` besides.
+    /// By name of the model's plan, and `window-300`.
     pub models: BTreeMap<String, PaperModel>,
     /// By method.
     pub onsets: BTreeMap<String, PaperOnsets>,

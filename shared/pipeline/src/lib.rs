@@ -95,7 +95,7 @@ impl Pipeline {
         &self.recogniser
     }
 
-    /// Goes back to the start, for another recording: filters, calibration and votes begin anew.
+    /// Goes back to the start, for another recording: resets filters, calibration and votes.
     ///
     /// # Errors
     /// None that [`Pipeline::new`] has not given before.

@@ -112,7 +112,7 @@ pub fn schedule(settings: &SchedulingSettings, stage: Stage) -> Result<Schedulin
     let mut memory_locked = false;
     if settings.realtime != Realtime::Off {
         let priority = FIRST_STAGE_PRIORITY + stage.index() as u32;
-        match set_attributes(&Attributes::fifo(priority)) {
+        match set_attributes(|attributes| attributes.fifo(priority)) {
             Ok(()) => policy = Policy::Fifo(priority),
             Err(reason) if settings.realtime == Realtime::On => {
                 return Err(RealtimeRefused { what: "SCHED_FIFO", reason });
@@ -133,7 +133,7 @@ pub fn schedule(settings: &SchedulingSettings, stage: Stage) -> Result<Schedulin
     }
     if policy == Policy::Default {
         let slice_ns = if stage == Stage::Inference { INFERENCE_SLICE_NS } else { SHORT_SLICE_NS };
-        match set_attributes(&Attributes::short_slice(slice_ns)) {
+        match set_attributes(|attributes| attributes.short_slice(slice_ns)) {
             Ok(()) => policy = Policy::ShortSlice(slice_ns),
             Err(reason) => shortfall.push(format!("a short slice was refused ({reason})")),
         }
@@ -156,6 +156,7 @@ fn pin_to_one_core(shortfall: &mut Vec<String>) -> Option<usize> {
 }
 
 /// `struct sched_attr` of sched_setattr(2), in its first version.
+#[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 struct Attributes {
     size: u32,
@@ -168,33 +169,53 @@ struct Attributes {
     period_ns: u64,
 }
 
+const ATTRIBUTES_SIZE: u32 = size_of::<Attributes>() as u32;
+
 impl Attributes {
-    fn fifo(priority: u32) -> Attributes {
-        Attributes { priority, ..Attributes::of_policy(libc::SCHED_FIFO) }
+    /// What the calling thread has.
+    fn current() -> Result<Attributes, Errno> {
+        let mut attributes = Attributes::default();
+        // SAFETY: the kernel writes at most `ATTRIBUTES_SIZE` bytes into a live, `repr(C)` value of that size, for
+        // whose integers every bit pattern is valid.
+        let result = unsafe {
+            libc::syscall(libc::SYS_sched_getattr, 0, std::ptr::from_mut(&mut attributes), ATTRIBUTES_SIZE, 0)
+        };
+        if result == 0 { Ok(attributes) } else { Err(Errno::last()) }
     }
 
-    fn short_slice(slice_ns: u64) -> Attributes {
-        Attributes { runtime_ns: slice_ns, ..Attributes::of_policy(libc::SCHED_OTHER) }
+    fn fifo(self, priority: u32) -> Attributes {
+        Attributes { policy: libc::SCHED_FIFO as u32, priority, runtime_ns: 0, ..self }
     }
 
-    fn of_policy(policy: libc::c_int) -> Attributes {
-        Attributes {
-            size: size_of::<Attributes>() as u32,
-            policy: policy as u32,
-            flags: 0,
-            nice: 0,
-            priority: 0,
-            runtime_ns: 0,
-            deadline_ns: 0,
-            period_ns: 0,
-        }
+    fn short_slice(self, slice_ns: u64) -> Attributes {
+        Attributes { policy: libc::SCHED_OTHER as u32, priority: 0, runtime_ns: slice_ns, ..self }
     }
 }
 
-/// sched_setattr(2) for the calling thread; no library wraps it, and sched_setscheduler(2) knows no slices.
-fn set_attributes(attributes: &Attributes) -> Result<(), Errno> {
+/// sched_setattr(2) for the calling thread; no library wraps it, and sched_setscheduler(2) knows no slices. What
+/// `change` leaves as it is stays so, the nice value among it.
+fn set_attributes(change: impl FnOnce(Attributes) -> Attributes) -> Result<(), Errno> {
+    let attributes = Attributes { size: ATTRIBUTES_SIZE, ..change(Attributes::current()?) };
     // SAFETY: the kernel reads `attributes.size` bytes from a live, `repr(C)` value of exactly that size and
     // keeps no pointer.
-    let result = unsafe { libc::syscall(libc::SYS_sched_setattr, 0, std::ptr::from_ref(attributes), 0) };
+    let result = unsafe { libc::syscall(libc::SYS_sched_setattr, 0, std::ptr::from_ref(&attributes), 0) };
     if result == 0 { Ok(()) } else { Err(Errno::last()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_short_slice_leaves_the_nice_value_as_it_is() {
+        // In a thread of its own, which alone becomes nicer.
+        std::thread::spawn(|| {
+            // SAFETY: takes numbers only.
+            assert_eq!(unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, 7) }, 0);
+            set_attributes(|attributes| attributes.short_slice(SHORT_SLICE_NS)).unwrap();
+            assert_eq!(Attributes::current().unwrap().nice, 7);
+        })
+        .join()
+        .unwrap();
+    }
 }

@@ -19,9 +19,9 @@ pub enum RecordingError {
         /// What the system says.
         reason: io::Error,
     },
-    /// A path whose name tells no known layout.
+    /// A path without a known layout.
     #[error(
-        "{} is no recording that can be read: give a table of samples (.csv, .tsv or .txt), a file \
+        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file \
          3dc_EMG_gesture_R_G.txt, or the EMG folder that holds such files",
         .path.display()
     )]
@@ -39,14 +39,14 @@ pub enum RecordingError {
         /// The repetitions that are there.
         available: Vec<u32>,
     },
-    /// A repetition was asked for where there are none.
+    /// A repetition was given for a single file.
     #[error("{} is a single file: leave out repetition, which chooses within a 3DC EMG folder", .file.display())]
     RepetitionOfFile {
         /// The file.
         file: PathBuf,
     },
     /// A plain table whose sampling rate was not given.
-    #[error("{} does not say its sampling rate: give sample_rate_hz, e.g. 2000", .file.display())]
+    #[error("{} does not state its sampling rate: give sample_rate_hz, e.g. 2000", .file.display())]
     SampleRateMissing {
         /// The file.
         file: PathBuf,
@@ -95,7 +95,7 @@ pub enum RecordingError {
         error: MatError,
     },
     /// A channel chosen by name where channels have none.
-    #[error("{} has no names of channels: choose `{name}` by its number, counted from 0", .file.display())]
+    #[error("{} has no channel names: choose `{name}` by its number, counted from 0", .file.display())]
     NamedChannel {
         /// The file.
         file: PathBuf,

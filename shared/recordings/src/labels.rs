@@ -1,9 +1,9 @@
-//! The layout of one's own recordings: text tables, and `labels.csv` beside them, which tells what they show.
+//! The layout for your own recordings: text tables, and a `labels.csv` in the same folder that says what they show.
 //!
 //! ```text
 //! file,person,session,repetition,gesture,start_sample,end_sample
 //! anna/monday.csv,1,monday,0,rest,0,10000          one line a trial; samples are counted from 0 in the file,
-//! anna/monday.csv,1,monday,0,extension,12000,20000 at its own rate; the end is no longer part of the trial
+//! anna/monday.csv,1,monday,0,extension,12000,20000 at its own rate; the end sample is not part of the trial
 //! ben.csv,2,,1,grip,,                              no start, no end: the whole file
 //! ```
 //! Columns may stand in any order; `session`, `start_sample` and `end_sample` may be left out. All trials of a file

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use memmap2::{Advice, Mmap, UncheckedAdvice};
 
-/// After so many bytes read, the pages that hold them are given back.
+/// Pages are given back each time this many bytes have been read.
 const RELEASE_BYTES: usize = 4 << 20;
 
 /// A file that is mapped, not loaded. It must not be shortened while it is read: the system then ends the

@@ -46,7 +46,7 @@ impl<R: Read + Seek> MatFile<R> {
     /// Reads which variables `file` holds.
     ///
     /// # Errors
-    /// When it is no MAT-file of level 5, or damaged.
+    /// When it is not a MAT-file of level 5, or damaged.
     pub fn open(file: R) -> Result<MatFile<R>, MatError> {
         let mut mat = MatFile { file, variables: Vec::new() };
         let length = mat.file.seek(SeekFrom::End(0))?;
@@ -90,7 +90,7 @@ impl<R: Read + Seek> MatFile<R> {
         }
         let mut element = BufReader::new(ZlibDecoder::new(element));
         if Tag::read(&mut element)?.kind != MATRIX {
-            return Err(MatError::Damaged("what is compressed is no variable"));
+            return Err(MatError::Damaged("a compressed element is not a variable"));
         }
         Ok(Box::new(element))
     }
@@ -120,7 +120,7 @@ impl<R: Read + Seek> MatFile<R> {
     /// Rows and columns of the matrix `name`.
     ///
     /// # Errors
-    /// When there is no such variable, or it is no matrix of real numbers.
+    /// When there is no such variable, or it is not a matrix of real numbers.
     pub fn shape(&self, name: &'static str) -> Result<(usize, usize), MatError> {
         let Variable { is_numeric, rows, columns, .. } = self.variable(name)?;
         if !is_numeric {
@@ -134,7 +134,7 @@ impl<R: Read + Seek> MatFile<R> {
     /// must be transposed before it is saved.
     ///
     /// # Errors
-    /// When there is no such variable or column, it is no matrix of real numbers, a value is not finite, or the
+    /// When there is no such variable or column, it is not a matrix of real numbers, a value is not finite, or the
     /// file is damaged.
     pub fn columns(&mut self, name: &'static str, channels: &[usize]) -> Result<Vec<Vec<f32>>, MatError> {
         let (rows, columns) = self.shape(name)?;

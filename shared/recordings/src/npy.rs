@@ -82,7 +82,7 @@ mod tests {
         std::fs::write(&path, &complete[..complete.len() - 4]).unwrap();
         assert!(refused(MappedArray::open(&path, 2)).contains("is it complete?"));
         std::fs::write(&path, b"PK\x03\x04").unwrap();
-        assert!(refused(MappedArray::open(&path, 2)).contains("no NumPy array"));
+        assert!(refused(MappedArray::open(&path, 2)).contains("not a NumPy array"));
     }
 
     #[test]

@@ -29,7 +29,7 @@ const GESTURE_S: f64 = 6.0;
 /// Gestures of a cycle: ours are the first six, the others abduction, adduction, supination and pronation.
 const GESTURES: u32 = 10;
 
-/// The gesture a number stands for; `None` for those that are none of ours.
+/// The gesture a number stands for; `None` for all others.
 pub fn gesture(number: u32) -> Option<Gesture> {
     match number {
         0 => Some(Gesture::Rest),
@@ -57,7 +57,7 @@ pub fn is_filtered(path: &Path) -> Option<bool> {
 /// Whose recording a `.mat` file is: its variable `iD` if that is a number, else the only number in its name.
 ///
 /// # Errors
-/// When the file is no MAT-file or is damaged.
+/// When the file is not a MAT-file or is damaged.
 pub fn person(file: &Path) -> Result<Option<u16>, RecordingError> {
     let id = open_mat(file)?.number("iD").map_err(RecordingError::mat(file))?;
     if let Some(id) = id.filter(|id| id.fract() == 0.0 && (0.0..=f64::from(u16::MAX)).contains(id)) {
@@ -142,7 +142,7 @@ pub struct Trial {
 }
 
 /// Reads a trial from the name of its file: `P3_C0_G5.csv` or `participant3_cycle0_gesture5.csv`, in any case, the
-/// three parts in any order, `_` or `-` between them. `person` is as good as `participant`.
+/// three parts in any order, `_` or `-` between them. `person` works like `participant`.
 pub fn trial_of_name(file: &Path) -> Option<Trial> {
     if !file.extension()?.eq_ignore_ascii_case("csv") {
         return None;

@@ -50,7 +50,7 @@ pub struct ReplayStream {
     source: RecordingSource,
     /// Output samples …
     up: u64,
-    /// … for so many input samples, in lowest terms.
+    /// … for this many input samples, in lowest terms.
     down: u64,
     /// `None` if the rates are equal.
     resampler: Option<Resampler>,
@@ -299,7 +299,7 @@ fn resample(resampler: Option<&mut Resampler>, frames: &[f32], pending: &mut Vec
     }
 }
 
-/// Output samples for so many input samples, in lowest terms.
+/// Output and input samples of the ratio, in lowest terms.
 fn ratio(from_hz: f64, to_hz: f64) -> Result<(u64, u64), RecordingError> {
     if from_hz == to_hz {
         return Ok((1, 1));

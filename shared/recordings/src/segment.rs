@@ -15,7 +15,7 @@ pub struct Segment {
     pub repetition: Option<u32>,
     /// What the person was asked to do; `None` if unknown or none of ours.
     pub cue: Option<Gesture>,
-    /// Index within the file of the first sample that is no longer of this segment, at the recording's rate;
+    /// Index within the file of the first sample after this segment, at the recording's rate;
     /// `None` if it lasts to the end of the file.
     pub end_sample: Option<u64>,
 }

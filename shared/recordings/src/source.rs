@@ -11,8 +11,7 @@ use crate::segment::{Notice, Segment};
 use crate::table::{Channel, Table};
 use crate::three_dc;
 
-/// Frames that are read in one go where there are so many: enough that the going does not matter, few enough to stay
-/// in the fastest cache.
+/// Most frames to read at once: enough to make the overhead negligible, few enough to stay in the fastest cache.
 pub(crate) const FRAMES_AT_ONCE: usize = 256;
 
 /// How a recording is to be read.
@@ -21,7 +20,7 @@ pub(crate) const FRAMES_AT_ONCE: usize = 256;
 pub struct RecordingSettings {
     /// Which channels, in the order they shall have.
     pub channels: Vec<Channel>,
-    /// Sampling rate of a plain table, in Hz. Not needed where the layout tells it, as 3DC does.
+    /// Sampling rate of a plain table, in Hz. Not needed where the layout states it, as 3DC does.
     #[serde(default)]
     pub sample_rate_hz: Option<f64>,
     /// Of a 3DC folder, only this repetition; all in order if not given.
@@ -62,7 +61,7 @@ enum Samples {
 }
 
 impl RecordingSource {
-    /// Opens the recording at `path`, whose name tells the layout:
+    /// Opens the recording at `path`. The layout follows from its name:
     ///
     /// | path | recording |
     /// |---|---|
@@ -71,7 +70,7 @@ impl RecordingSource {
     /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at `settings.sample_rate_hz` |
     ///
     /// # Errors
-    /// When the path tells no layout, the settings do not fit, or the first file cannot be opened. What is
+    /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
     /// wrong further on shows when it is read: [`check`] reads all of it.
     pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
         let mut notices = Vec::new();

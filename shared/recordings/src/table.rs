@@ -10,7 +10,7 @@
 //! line 1; every later line must match. Only chosen columns are parsed; the others are just counted.
 //!
 //! Most recordings hold converter counts and nothing else, `-27,58,70`: such lines go through `counts`, which is
-//! much faster and gives up on whatever is not so plain. All others, and all errors, go the general way.
+//! much faster and gives up on anything else. All other lines, and all errors, take the general path.
 //!
 //! A [`Table`] is only a place in a text: the text itself is handed to each call, so that a memory map, a
 //! slice in a test and a fuzzer's bytes are read by the same code.

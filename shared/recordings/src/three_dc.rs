@@ -72,7 +72,7 @@ pub(crate) fn file_name(repetition: u32, gesture: u32) -> String {
     format!("3dc_EMG_gesture_{repetition}_{gesture}.txt")
 }
 
-/// The gesture a 3DC number stands for; `None` for those that are none of ours (supination, pronation, open
+/// The gesture a 3DC number stands for; `None` for all others (supination, pronation, open
 /// hand, chuck grip, pinch grip).
 pub(crate) fn gesture(number: u32) -> Option<Gesture> {
     match number {
@@ -106,7 +106,7 @@ pub fn is_three_dc(path: &Path) -> bool {
     path.is_dir() || parse_file_name(path).is_some()
 }
 
-/// The numbers of the repetitions that a 3DC `EMG` folder holds, in order; empty if it is no such folder.
+/// The numbers of the repetitions that a 3DC `EMG` folder holds, in order; empty if it is another kind of folder.
 ///
 /// # Errors
 /// When the folder cannot be read.

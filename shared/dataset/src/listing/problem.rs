@@ -77,7 +77,7 @@ pub enum ListingError {
     },
     /// Tables with labels, whose sampling rate was not given.
     #[error(
-        "the files that {} names do not tell their sampling rate: give --recording-rate-hz, e.g. 2000",
+        "the files named in {} do not state their sampling rate: give --recording-rate-hz, e.g. 2000",
         .labels.display()
     )]
     NoRate {
@@ -86,7 +86,7 @@ pub enum ListingError {
     },
     /// More repetitions than `repetitions.npy` can number.
     #[error(
-        "the repetitions of person {person}, counted through all sessions, are more than 256: number them from 0 in \
+        "person {person} has more than 256 repetitions, counted through all sessions: number them from 0 in \
          each session"
     )]
     TooManyRepetitions {

@@ -23,7 +23,7 @@ pub enum LabelsProblem {
     /// The file cannot be read.
     #[error("cannot be read ({0})")]
     Read(io::Error),
-    /// A line that is no CSV in UTF-8.
+    /// A line that is not CSV in UTF-8.
     #[error("{0}")]
     Csv(csv::Error),
     /// A column with a name that means nothing here.
@@ -42,9 +42,9 @@ pub enum LabelsProblem {
         name: &'static str,
     },
     /// A label of no file.
-    #[error("names no file: give its path, from the folder of labels.csv on")]
+    #[error("names no file: give its path relative to the folder of labels.csv")]
     NoFile,
-    /// A cell that is no whole number, or one that is too large.
+    /// A cell that is not a whole number, or too large.
     #[error("{column} = `{text}`: give a whole number of 0 to {largest}")]
     NotANumber {
         /// The column.

@@ -14,7 +14,7 @@ pub enum MatError {
     )]
     Hdf5,
     /// Something else.
-    #[error("is no MAT-file of level 5: save it with `save -v7`")]
+    #[error("is not a MAT-file of level 5: save it with `save -v7`")]
     NoMatFile,
     /// Written on a machine of another byte order.
     #[error("has its bytes in big-endian order: load it in MATLAB and save it again with `save -v7`")]
@@ -30,7 +30,7 @@ pub enum MatError {
         /// Those that are there.
         available: Vec<String>,
     },
-    /// A variable that is no matrix of real numbers.
+    /// A variable that is not a matrix of real numbers.
     #[error("variable `{name}` is {found}, not {expected}")]
     Shape {
         /// The variable.

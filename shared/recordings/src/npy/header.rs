@@ -9,7 +9,7 @@ pub enum NpyError {
     #[error("{0}")]
     Read(io::Error),
     /// Another kind of file.
-    #[error("it is no NumPy array (.npy), or its header is damaged")]
+    #[error("it is not a NumPy array (.npy), or its header is damaged")]
     NoArray,
     /// The first index is the fastest.
     #[error("it is in Fortran order: save it with numpy.ascontiguousarray")]

@@ -5,7 +5,7 @@
 //! 0001001001001…    a bit for each separator or newline: where cells end
 //! └─┘               8 bytes as one u64, those behind the cell shifted out: up to seven digits at once
 //! ```
-//! Lengths of numbers are as good as random: a loop over their bytes costs a wrongly predicted branch for nearly every
+//! Lengths of numbers are practically random: a loop over their bytes costs a wrongly predicted branch for nearly every
 //! number.
 
 /// Bytes that are searched for ends of cells at once: a bit for each.

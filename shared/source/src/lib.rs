@@ -1,0 +1,102 @@
+//! Sources of samples, and the loop that publishes their blocks.
+//!
+//! ```text
+//! device ───── its own clock, a descriptor ─────┐
+//!                                               ├─▶ Source ─▶ acquire: wait, fill in shared memory, publish
+//! simulated person, recording ─▶ Paced, due ────┘
+//! ```
+//!
+//! A source owns its clock. It says what to wait for (a descriptor or a time), and each of its blocks says which
+//! sample comes first and when the newest one was captured, CLOCK_MONOTONIC. A device has no due times: it has a
+//! clock of its own, which [`DeviceClock`] maps to ours, and a counter of samples, whose gaps are lost samples.
+//! [`Paced`] gives due times to what has no clock: the simulated person and recordings.
+//!
+//! A program that acquires from a vendor's library implements [`Source`] and calls [`acquire`] from
+//! `tendon_process::main`; `acquisition.program` in `tendon.toml` names it. `tests/src/bin/push-device.rs` is one.
+#![forbid(unsafe_code)]
+
+mod acquire;
+mod clock;
+mod paced;
+
+use std::error::Error;
+use std::os::fd::BorrowedFd;
+
+use tendon_gesture::Gesture;
+use tendon_messages::Truth;
+
+pub use acquire::{acquire, open_blocks};
+pub use clock::DeviceClock;
+pub use paced::{BlockMaker, Pace, Paced};
+
+/// What to wait for until [`Source::next_block`] may have a block.
+#[derive(Clone, Copy, Debug)]
+pub enum Wait<'a> {
+    /// Nothing: ask for it now. Its block says when it is to be published.
+    Nothing,
+    /// This time, CLOCK_MONOTONIC ns.
+    Until(u64),
+    /// This descriptor becomes readable.
+    Readable(BorrowedFd<'a>),
+}
+
+/// A block that was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// Index of its first sample since the source began, those that were lost included.
+    pub first_sample: u64,
+    /// When its newest sample was captured, CLOCK_MONOTONIC ns.
+    pub captured_ns: u64,
+    /// When it is to be published, CLOCK_MONOTONIC ns: later than now for a block that was prepared ahead of its
+    /// time, 0 for at once.
+    pub publish_at_ns: u64,
+    /// The gesture that was really made, if the source knows it.
+    pub truth: Truth,
+}
+
+/// What a source answers when asked for a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Next {
+    /// A block was written.
+    Block(Block),
+    /// There is none yet.
+    NotYet,
+    /// There will be none any more.
+    End,
+}
+
+/// A source of samples broke off.
+#[derive(Debug, thiserror::Error)]
+#[error("the source failed")]
+pub struct SourceError(#[source] Box<dyn Error + Send + Sync>);
+
+impl SourceError {
+    /// It failed for this reason.
+    pub fn new(reason: impl Into<Box<dyn Error + Send + Sync>>) -> SourceError {
+        SourceError(reason.into())
+    }
+}
+
+/// Where samples come from.
+pub trait Source {
+    /// Begins to acquire: all stages are ready. Its samples count from here.
+    ///
+    /// # Errors
+    ///
+    /// [`SourceError`] when the device does not start.
+    fn start(&mut self) -> Result<(), SourceError>;
+
+    /// What to wait for before the next call of [`Source::next_block`].
+    fn wait(&self) -> Wait<'_>;
+
+    /// Writes the next block, `[channels × samples]`, channel-major, into `samples` if it is there. Does not wait.
+    ///
+    /// # Errors
+    ///
+    /// [`SourceError`] when the source broke off.
+    fn next_block(&mut self, samples: &mut [f32]) -> Result<Next, SourceError>;
+
+    /// The person at the keyboard, or the simulated user, makes this gesture from now on. Sources with a person of
+    /// their own pass over it.
+    fn set_gesture(&mut self, _gesture: Gesture) {}
+}
