@@ -21,21 +21,21 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// Lines of a page, each with whether it is inside a code block.
-fn lines(text: &str) -> impl Iterator<Item = (bool, &str)> {
-    let mut is_code = false;
+/// Lines of a page, each with the language of the code block it is in: `sh`, another, empty; `None` outside of blocks.
+fn lines(text: &str) -> impl Iterator<Item = (Option<&str>, &str)> {
+    let mut language = None;
     text.lines().filter_map(move |line| {
-        if line.trim_start().starts_with("```") {
-            is_code = !is_code;
+        if let Some(opened) = line.trim_start().strip_prefix("```") {
+            language = if language.is_some() { None } else { Some(opened.trim()) };
             return None;
         }
-        Some((is_code, line))
+        Some((language, line))
     })
 }
 
 /// Targets of the links `[text](target)` in a page.
 fn links(text: &str) -> Vec<String> {
-    let prose = lines(text).filter(|(is_code, _)| !is_code).map(|(_, line)| line);
+    let prose = lines(text).filter(|(language, _)| language.is_none()).map(|(_, line)| line);
     prose
         .flat_map(|line| line.split("](").skip(1))
         .filter_map(|rest| rest.split_once(')').map(|(target, _)| target.to_owned()))
@@ -44,7 +44,7 @@ fn links(text: &str) -> Vec<String> {
 
 /// The anchors that GitHub makes of a page's headings.
 fn anchors(text: &str) -> BTreeSet<String> {
-    let headings = lines(text).filter(|(is_code, line)| !is_code && line.starts_with('#'));
+    let headings = lines(text).filter(|(language, line)| language.is_none() && line.starts_with('#'));
     headings
         .map(|(_, line)| {
             let heading = line.trim_start_matches('#').trim().to_lowercase();
@@ -54,11 +54,11 @@ fn anchors(text: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Command lines of `tendon` in the code blocks of a page, as words; continued lines are joined.
+/// Command lines of `tendon` in the shell blocks of a page, as words; continued lines are joined.
 fn command_lines(text: &str) -> Vec<Vec<String>> {
     let mut found = Vec::new();
     let mut joined = String::new();
-    for (_, line) in lines(text).filter(|(is_code, _)| *is_code) {
+    for (_, line) in lines(text).filter(|(language, _)| *language == Some("sh")) {
         joined.push_str(line);
         if joined.ends_with('\\') {
             joined.pop();
@@ -189,7 +189,7 @@ fn the_front_door_stays_short() {
 
 #[test]
 fn the_checks_find_what_is_wrong() {
-    let page = "# One two\n[a](x.md#y) [b](z.md)\n```\n[no](link)\ntendon run --set a=1 \\\n  --json 'a b' # why\n```\n";
+    let page = "# One two\n[a](x.md#y) [b](z.md)\n```sh\n[no](link)\ntendon run --set a=1 \\\n  --json 'a b' # why\n```\n";
     assert_eq!(links(page), ["x.md#y", "z.md"]);
     assert!(anchors(page).contains("one-two"));
     assert_eq!(command_lines(page), [["run", "--set", "a=1", "--json", "a b"].map(str::to_owned)]);

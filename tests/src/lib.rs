@@ -25,7 +25,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::unistd::{Gid, Pid, Uid, chown};
 use tempfile::TempDir;
 use tendon_report::Report;
 use tendon_transport::{Leftovers, SessionName};
@@ -43,6 +43,12 @@ pub fn repository() -> PathBuf {
 /// A model that comes with Tendon: `cnn-five-gesture` or `cnn-six-class`.
 pub fn model(name: &str) -> PathBuf {
     repository().join("models").join(format!("{name}.onnx"))
+}
+
+/// The library that runs the models, where scripts/fetch-onnxruntime puts it.
+pub fn runtime_library() -> PathBuf {
+    let given = std::env::var_os("ORT_DYLIB_PATH").map(PathBuf::from);
+    given.unwrap_or_else(|| repository().join(".cache/onnxruntime/libonnxruntime.so"))
 }
 
 /// A program of the profile that the test was built for.
@@ -112,7 +118,7 @@ impl TendonBuilder {
         command.args(arguments).current_dir(folder.path());
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         if std::env::var_os("ORT_DYLIB_PATH").is_none() {
-            command.env("ORT_DYLIB_PATH", repository().join(".cache/onnxruntime/libonnxruntime.so"));
+            command.env("ORT_DYLIB_PATH", runtime_library());
         }
         TendonBuilder { command, session: session.clone(), folder }
     }
@@ -130,15 +136,48 @@ impl TendonBuilder {
     }
 
     /// Gives it a terminal, as if it were started by a person there (setsid(1) makes it the controlling one).
-    pub fn controlled_by(mut self, terminal: std::os::fd::OwnedFd) -> TendonBuilder {
-        let mut command = Command::new("setsid");
-        command.arg("--ctty").arg(self.command.get_program()).args(self.command.get_args());
-        command.current_dir(self.folder.path()).stdin(terminal).stdout(Stdio::piped()).stderr(Stdio::piped());
+    pub fn controlled_by(self, terminal: std::os::fd::OwnedFd) -> TendonBuilder {
+        let mut builder = self.through("setsid", &["--ctty"]);
+        builder.command.stdin(terminal);
+        builder
+    }
+
+    /// Runs it as another user, whose home is the command's folder. Only root can.
+    pub fn as_user(self, user: u32) -> TendonBuilder {
+        let id = Uid::from_raw(user);
+        chown(self.folder.path(), Some(id), Some(Gid::from_raw(user))).unwrap();
+        let (user, home) = (user.to_string(), self.folder.path().to_owned());
+        let mut builder = self.through("setpriv", &["--reuid", &user, "--regid", &user, "--clear-groups"]);
+        builder.command.env("HOME", home).env_remove("XDG_RUNTIME_DIR").env_remove("XDG_STATE_HOME");
+        builder
+    }
+
+    /// The same command, started by another one.
+    fn through(mut self, program: &str, arguments: &[&str]) -> TendonBuilder {
+        let mut command = Command::new(program);
+        command.args(arguments).arg(self.command.get_program()).args(self.command.get_args());
+        command.current_dir(self.folder.path());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         for (name, value) in self.command.get_envs() {
             command.env(name, value.unwrap_or_default());
         }
         self.command = command;
         self
+    }
+
+    /// The command, for a test that starts it itself with streams of its own, and the folder in which it writes
+    /// `report.json`. With `on_terminal` its standard input becomes its controlling terminal: setsid(1).
+    pub fn into_command(self, on_terminal: bool) -> (Command, TempDir) {
+        if !on_terminal {
+            return (self.command, self.folder);
+        }
+        let mut command = Command::new("setsid");
+        command.arg("--ctty").arg(self.command.get_program()).args(self.command.get_args());
+        command.current_dir(self.folder.path());
+        for (name, value) in self.command.get_envs() {
+            command.env(name, value.unwrap_or_default());
+        }
+        (command, self.folder)
     }
 
     /// Sets an environment variable.
@@ -261,6 +300,11 @@ impl Tendon {
     /// Process id of `tendon` itself.
     pub fn id(&self) -> u32 {
         self.process.id()
+    }
+
+    /// The session's name.
+    pub fn session(&self) -> &SessionName {
+        &self.session
     }
 
     /// Process ids of the stages that run.

@@ -1,7 +1,5 @@
 //! `tendon doctor`: what this machine offers a session, and how to mend what is wrong.
 
-use std::path::Path;
-
 use clap::Args;
 use tendon_classifier::{Classifier, DEFAULT_REST_MOVE_MODEL_FILE};
 use tendon_config::{Config, Realtime, SchedulingSettings};
@@ -9,8 +7,9 @@ use tendon_messages::Stage;
 use tendon_process::Policy;
 use tendon_transport::{Leftovers, Removed, SessionLock, SessionLockError, shared_memory_directory};
 
-use crate::Failure;
-use crate::run::free_bytes;
+use crate::options::read_configuration;
+use crate::output::print;
+use crate::{Failure, checks};
 
 /// Free shared memory that a session with default settings is comfortable with, bytes.
 const COMFORTABLE_BYTES: u64 = 64_000_000;
@@ -35,6 +34,8 @@ enum Weight {
 
 struct Findings {
     broken: usize,
+    /// Whether they could be shown.
+    printed: anyhow::Result<()>,
 }
 
 impl Findings {
@@ -44,19 +45,23 @@ impl Findings {
             Weight::Weak => "weak  ",
             Weight::Broken => "BROKEN",
         };
-        println!("{mark}  {what:<18}{finding}");
+        let printed = print(format_args!("{mark}  {what:<18}{finding}"));
+        self.printed = std::mem::replace(&mut self.printed, Ok(())).and(printed);
         self.broken += usize::from(weight == Weight::Broken);
     }
 }
 
 /// Examines the machine.
 pub fn examine(options: &Options) -> Result<(), Failure> {
-    let mut findings = Findings { broken: 0 };
+    let mut findings = Findings { broken: 0, printed: Ok(()) };
     programs(&mut findings);
-    runtime_and_models(&mut findings);
-    shared_memory(&mut findings);
+    let config = configuration(&mut findings);
+    folders(&mut findings);
+    runtime_and_models(&mut findings, &config);
+    shared_memory(&mut findings, &config);
     scheduling(&mut findings);
     leftovers(&mut findings, options.clean);
+    findings.printed.map_err(Failure::running)?;
     if findings.broken > 0 {
         return Err(Failure::running(anyhow::anyhow!(
             "{} of these keep a session from running",
@@ -67,27 +72,43 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
 }
 
 fn programs(findings: &mut Findings) {
-    let folder = std::env::current_exe().ok();
-    let folder = folder.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
-    let missing: Vec<&str> = Stage::ALL
-        .into_iter()
-        .map(Stage::name)
-        .filter(|name| !folder.join(format!("tendon-{name}")).is_file())
-        .collect();
-    if missing.is_empty() {
-        findings.add(Weight::Good, "programs", &format!("all stages are in {}", folder.display()));
-    } else {
-        let finding = format!(
-            "{} not in {}: build them with ./scripts/run or `cargo build --release`",
-            missing.join(", "),
-            folder.display()
-        );
-        findings.add(Weight::Broken, "programs", &finding);
+    match checks::programs() {
+        Ok(folder) => {
+            findings.add(Weight::Good, "programs", &format!("all stages are in {}", folder.display()));
+        }
+        Err(error) => findings.add(Weight::Broken, "programs", &format!("{error:#}")),
     }
 }
 
-fn runtime_and_models(findings: &mut Findings) {
-    let library = match tendon_classifier::runtime_library(None) {
+/// The configuration that `tendon run` would read here; the default if it is broken.
+fn configuration(findings: &mut Findings) -> Config {
+    let read = read_configuration(None).and_then(|config| Ok(config.check().map(|()| config)?));
+    match read {
+        Ok(config) => {
+            let finding = format!("good, for session `{}`", config.session);
+            findings.add(Weight::Good, "configuration", &finding);
+            config
+        }
+        Err(error) => {
+            findings.add(Weight::Broken, "configuration", &format!("{error:#}"));
+            Config::default()
+        }
+    }
+}
+
+fn folders(findings: &mut Findings) {
+    for (what, folder) in
+        [("run-time folder", tendon_paths::runtime_folder()), ("state folder", tendon_paths::state_folder())]
+    {
+        match folder {
+            Ok(folder) => findings.add(Weight::Good, what, &folder.path().display().to_string()),
+            Err(error) => findings.add(Weight::Broken, what, &format!("{:#}", anyhow::Error::from(error))),
+        }
+    }
+}
+
+fn runtime_and_models(findings: &mut Findings, config: &Config) {
+    let library = match tendon_classifier::runtime_library(config.inference.runtime_library.as_deref()) {
         Ok(library) => library,
         Err(error) => return findings.add(Weight::Broken, "runtime library", &error.to_string()),
     };
@@ -104,10 +125,10 @@ fn runtime_and_models(findings: &mut Findings) {
     }
 }
 
-fn shared_memory(findings: &mut Findings) {
+fn shared_memory(findings: &mut Findings, config: &Config) {
     let folder = shared_memory_directory();
-    match free_bytes(folder) {
-        Ok(free) => {
+    match checks::shared_memory(config) {
+        Ok((free, _)) => {
             let megabytes = free / 1_000_000;
             if free < COMFORTABLE_BYTES {
                 let finding = format!(

@@ -4,12 +4,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tendon_observer::{Observer, ObserverError};
 use tendon_report::running_table;
+use tendon_session::become_owner;
 use tendon_transport::SessionName;
 
 use crate::Failure;
+use crate::order::user_number;
+use crate::output::{print, print_while_read};
 
 /// Time between two looks at what the stages say.
 const TICK: Duration = Duration::from_millis(50);
@@ -20,6 +23,9 @@ pub struct Options {
     /// Name of the session to look at.
     #[arg(long, default_value = "tendon")]
     session: SessionName,
+    /// Whose session, if several users run one of this name; for root.
+    #[arg(long)]
+    user: Option<String>,
     /// Time between two tables.
     #[arg(long, value_parser = humantime::parse_duration, default_value = "1s")]
     interval: Duration,
@@ -30,6 +36,8 @@ pub struct Options {
 
 /// Shows the latencies since it was started, again and again.
 pub fn show(options: &Options) -> Result<(), Failure> {
+    let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
+    become_owner(&options.session, user).map_err(Failure::input)?;
     let observer = Observer::join(&options.session, "latency").map_err(|error| match error {
         ObserverError::NotRunning { .. } | ObserverError::NoTopic { .. } => Failure::input(error),
         _ => Failure::running(error),
@@ -40,7 +48,7 @@ pub fn show(options: &Options) -> Result<(), Failure> {
 fn watch(options: &Options, mut observer: Observer) -> anyhow::Result<()> {
     let (sender, stop) = std::sync::mpsc::channel();
     let mut signals =
-        signal_hook::iterator::Signals::new([SIGINT, SIGTERM]).context("cannot handle signals")?;
+        signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP]).context("cannot handle signals")?;
     std::thread::Builder::new()
         .name("signals".to_owned())
         .spawn(move || signals.forever().next().map(|_| sender.send(())))
@@ -51,9 +59,13 @@ fn watch(options: &Options, mut observer: Observer) -> anyhow::Result<()> {
         observer.gather(|_| {})?;
         if shown.elapsed() >= options.interval {
             shown = Instant::now();
-            print!("{}", running_table(begun.elapsed(), observer.measurements()));
+            let is_read =
+                print_while_read(running_table(begun.elapsed(), observer.measurements()).trim_end())?;
             if !observer.is_running() {
-                println!("session `{}` has ended", options.session);
+                print(format_args!("session `{}` has ended", options.session))?;
+                break;
+            }
+            if !is_read {
                 break;
             }
         }

@@ -4,38 +4,46 @@
 //! tendon run ──starts──▶ acquisition, dsp, inference, decision, robot
 //!     ▲  │ ready, exit            │ measurements, states (shared memory)
 //!     │  └──── orders (stdin) ──▶ │
-//!     └───────────────────────────┘     tendon latency looks on
+//!     └───────────────────────────┘     tendon latency observes
 //! ```
 #![allow(clippy::print_stdout, reason = "this program's output is for people and pipes")]
 
 mod arm_mark;
-mod children;
+mod checks;
 mod dataset;
 mod doctor;
 mod evaluate;
 mod experiments;
 mod latency;
+mod options;
 mod order;
 mod output;
 mod profile;
 mod progress;
 mod provenance;
-mod resources;
 mod run;
 mod screen;
 mod session_outputs;
 mod strategies;
 mod zones;
 
-use std::io::Write;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use clap::{Parser, Subcommand};
 use tendon_process::Order;
+use tendon_session::Writer;
+
+/// How long a terminal may take what is said at the end. One whose reader stopped never takes it.
+const TERMINAL_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// What `tendon --help` ends with.
+const EXIT_CODES: &str = "Exit codes: 0 done, also when a signal or the terminal's end stopped the session, or nobody \
+    read the output; 1 something broke off, or a result could not be written; 2 bad input, nothing was started.";
 
 /// Steer an assistive robot arm with forearm muscle signals.
 #[derive(Debug, Parser)]
-#[command(name = "tendon", version, about, max_term_width = 100)]
+#[command(name = "tendon", version, about, max_term_width = 100, after_help = EXIT_CODES)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -44,7 +52,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Start a session: all stages, watched until it ends, then the table of latencies.
-    Run(Box<run::Options>),
+    Run(Box<options::Options>),
     /// Show the live latencies of a running session.
     Latency(latency::Options),
     /// Stop the arm of a running session at once; it does not move again before `tendon arm`.
@@ -101,7 +109,10 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(Failure { error, exit_code }) => {
             // Without standard error there is nobody left to tell; the exit code still says it.
-            let _ = writeln!(std::io::stderr(), "tendon: error: {error:#}");
+            if let Ok(errors) = Writer::standard_error() {
+                errors.say(format!("tendon: error: {error:#}"));
+                let _ = errors.finish(TERMINAL_TIMEOUT);
+            }
             ExitCode::from(exit_code)
         }
     }

@@ -7,6 +7,7 @@ use tendon_process::{Order, order_robot};
 use tendon_transport::SessionName;
 
 use crate::Failure;
+use crate::output::print;
 
 /// Whom to order.
 #[derive(Debug, Args)]
@@ -23,11 +24,12 @@ pub struct Options {
 pub fn give(options: &Options, order: Order) -> Result<(), Failure> {
     let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
     let answer = order_robot(&options.session, user, order).map_err(Failure::running)?;
-    println!("{answer}");
+    print(answer).map_err(Failure::running)?;
     Ok(())
 }
 
-fn user_number(name: &str) -> anyhow::Result<u32> {
+/// The number of a user who is given by name or number.
+pub fn user_number(name: &str) -> anyhow::Result<u32> {
     let user = User::from_name(name).ok().flatten();
     user.map(|user| user.uid.as_raw())
         .or(name.parse().ok())

@@ -17,10 +17,19 @@ use crate::Failure;
 ///
 /// When standard output cannot be written for another reason, such as a full disk.
 pub fn print(text: impl Display) -> anyhow::Result<()> {
+    print_while_read(text).map(drop)
+}
+
+/// The same for a command that goes on until nobody reads any more: returns whether somebody still does.
+///
+/// # Errors
+///
+/// As [`print`].
+pub fn print_while_read(text: impl Display) -> anyhow::Result<bool> {
     let mut output = io::stdout().lock();
     match writeln!(output, "{text}").and_then(|()| output.flush()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        result => result.context("cannot write to standard output"),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        result => result.map(|()| true).context("cannot write to standard output"),
     }
 }
 

@@ -1,233 +1,35 @@
 //! `tendon run`: one session from start to report.
+//!
+//! ```text
+//! options ─▶ lock ─▶ check ─▶ Watch ─▶ turn, show, turn, show, … ─▶ stop ─▶ table, JSON, log, figures
+//! ```
 
-use std::collections::BTreeMap;
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::time::{Duration, Instant};
+use std::sync::mpsc::channel;
+use std::time::Duration;
 
-use anyhow::{Context, ensure};
-use clap::Args;
-use signal_hook::consts::{SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
-use tendon_config::{Backend, Config, Gestures, Pace, Realtime, Source};
-use tendon_gesture::{Gesture, Strategy};
-use tendon_messages::{
-    BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, Permission, STATE_LENGTH, STATES, Stage, StateHeader,
-    StopReason, TWIST_LENGTH, WINDOWS,
-};
-use tendon_observer::Observer;
-use tendon_process::{BATCH_LENGTH, Order, Ready};
+use anyhow::Context;
+use tendon_config::{Backend, Config, Source};
+use tendon_messages::{Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
+use tendon_observer::{Observer, State};
+use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Report, SessionFacts};
-use tendon_transport::{
-    Delivery, Leftovers, SessionLock, SessionName, required_bytes, shared_memory_directory,
+use tendon_session::{
+    Keyboard, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, stop_on_signals,
 };
-use tendon_zones::{TaskKind, TaskRun};
+use tendon_transport::{Delivery, Leftovers, SessionLock};
+use tendon_zones::TaskRun;
 
-use crate::Failure;
 use crate::arm_mark::ArmMark;
-use crate::children::{Children, Event};
-use crate::screen::{GESTURE_KEYS, KEYS, Keyboard, Screen, live_line};
+use crate::options::Options;
+use crate::screen::{GESTURE_KEYS, KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
-use crate::{provenance, resources, zones};
+use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, zones};
 
-/// Time between two looks at what the stages say. Their messages do not wait for it.
-const TICK: Duration = Duration::from_millis(100);
-/// The same in a lossless replay, which says much more in that time.
-const LOSSLESS_TICK: Duration = Duration::from_millis(50);
+/// Longest time between two looks at what the stages say. Their messages do not wait for it, but the heartbeat does.
+const TICK: Duration = Duration::from_millis(50);
 /// The same with a task: the simulated user answers no later than a person would notice.
 const TASK_TICK: Duration = Duration::from_millis(20);
-/// How long the stages may take to become ready.
-const READY_TIMEOUT: Duration = Duration::from_secs(60);
-/// The same with an arm that first goes to its start position, perhaps twice around.
-const READY_TIMEOUT_OF_ARM: Duration = Duration::from_secs(300);
-/// After this long without being ready, the user is told what is waited for.
-const PATIENCE: Duration = Duration::from_secs(2);
-/// A stage that was started again and ends within so long of being ready would do so for ever.
-const RESTART_TRIAL: Duration = Duration::from_secs(2);
-/// So long after the end of a recording nothing of it is under way any more.
-const LAST_OF_RECORDING: Duration = Duration::from_secs(1);
-
-/// What can be said on the command line of `tendon run`; the rest is in the configuration.
-#[derive(Debug, Args)]
-pub struct Options {
-    /// Configuration; without it, ./tendon.toml if there is one, else the defaults.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Change one key of the configuration, such as acquisition.channels=8; may be repeated.
-    #[arg(long = "set", value_name = "KEY=VALUE")]
-    assignments: Vec<String>,
-    /// Name of the session; two at a time need two names.
-    #[arg(long)]
-    session: Option<SessionName>,
-    /// Stop after this long, such as 20s or 10m; without it, on Ctrl-C or at the recording's end.
-    #[arg(long, value_parser = humantime::parse_duration)]
-    duration: Option<Duration>,
-    /// Write the report as JSON.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-    /// Write all histograms in hdrhistogram's interval log format.
-    #[arg(long, value_name = "FILE")]
-    latency_log: Option<PathBuf>,
-    /// Draw the histograms of newest sample to command and of window start to command there, as PNG and SVG.
-    #[arg(long, value_name = "FOLDER")]
-    figures: Option<PathBuf>,
-    /// Replay a recording: a 3DC folder or file, or a CSV file.
-    #[arg(long, value_name = "PATH")]
-    replay: Option<PathBuf>,
-    /// Sampling rate of the recording, for a CSV file.
-    #[arg(long, value_name = "HZ", requires = "replay")]
-    replay_rate_hz: Option<f64>,
-    /// Replay only this repetition of a 3DC folder.
-    #[arg(long, value_name = "N", requires = "replay")]
-    repetition: Option<u32>,
-    /// How fast to replay.
-    #[arg(long, value_enum)]
-    pace: Option<PaceOption>,
-    /// Gestures of the simulated person, such as "rest 6s, grip 2s".
-    #[arg(long, value_name = "STEPS", conflicts_with_all = ["replay", "random", "keyboard"])]
-    script: Option<String>,
-    /// The simulated person makes random gestures, set by --seed.
-    #[arg(long, conflicts_with_all = ["replay", "keyboard"])]
-    random: bool,
-    /// The keys say which gesture the simulated person makes.
-    #[arg(long, conflicts_with = "replay")]
-    keyboard: bool,
-    /// Steer the arm into zones and score how it went. With the simulated DAQ and none of --script, --random and
-    /// --keyboard, a simulated user does it.
-    #[arg(long, value_enum)]
-    task: Option<TaskKind>,
-    /// Seed of the simulated DAQ: the same seed gives the same samples.
-    #[arg(long)]
-    seed: Option<u64>,
-    /// How rest and movement are told apart.
-    #[arg(long, value_enum)]
-    strategy: Option<Strategy>,
-    /// The ONNX model of the gestures.
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
-    /// The ONNX model of rest and move, with --strategy two_stage.
-    #[arg(long, value_name = "FILE")]
-    rest_move_model: Option<PathBuf>,
-    /// Real-time scheduling: where the rights allow it, or else fail, or never.
-    #[arg(long, value_enum)]
-    realtime: Option<RealtimeOption>,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum PaceOption {
-    True,
-    Full,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum RealtimeOption {
-    Auto,
-    On,
-    Off,
-}
-
-impl Options {
-    /// The session's configuration: the file, then the command line. All paths absolute.
-    fn configuration(&self) -> anyhow::Result<Config> {
-        let default = Path::new("tendon.toml");
-        let mut config = match &self.config {
-            Some(path) => Config::read(path)?,
-            None if default.is_file() => Config::read(default)?,
-            None => Config::default(),
-        };
-        for assignment in &self.assignments {
-            config = config.with(assignment)?;
-        }
-        let acquisition = &mut config.acquisition;
-        if let Some(session) = &self.session {
-            config.session = session.clone();
-        }
-        if let Some(path) = &self.replay {
-            acquisition.source = Source::Replay;
-            acquisition.replay.path = Some(path.clone());
-        }
-        if self.replay_rate_hz.is_some() {
-            acquisition.replay.sample_rate_hz = self.replay_rate_hz;
-        }
-        if self.repetition.is_some() {
-            acquisition.replay.repetition = self.repetition;
-        }
-        if let Some(pace) = self.pace {
-            ensure!(
-                acquisition.source == Source::Replay,
-                "--pace is for recordings: name one with --replay PATH"
-            );
-            acquisition.replay.pace = match pace {
-                PaceOption::True => Pace::True,
-                PaceOption::Full => Pace::Full,
-            };
-        }
-        if let Some(script) = &self.script {
-            acquisition.simulate.gestures = Gestures::Script;
-            acquisition.simulate.script = script.clone();
-        }
-        if self.random {
-            acquisition.simulate.gestures = Gestures::Random;
-        }
-        if self.keyboard {
-            acquisition.simulate.gestures = Gestures::Keyboard;
-        }
-        if self.has_simulated_user(acquisition.source) {
-            acquisition.simulate.gestures = Gestures::Keyboard;
-        }
-        if let Some(seed) = self.seed {
-            acquisition.simulate.seed = seed;
-        }
-        if let Some(strategy) = self.strategy {
-            config.decision.strategy = strategy;
-        }
-        if let Some(model) = &self.model {
-            config.inference.model = Some(model.clone());
-        }
-        if let Some(model) = &self.rest_move_model {
-            config.inference.rest_move_model = Some(model.clone());
-        }
-        if let Some(realtime) = self.realtime {
-            config.scheduling.realtime = match realtime {
-                RealtimeOption::Auto => Realtime::Auto,
-                RealtimeOption::On => Realtime::On,
-                RealtimeOption::Off => Realtime::Off,
-            };
-        }
-        if let Some(task) = self.task {
-            config.task = task.settings(config.task);
-            ensure!(
-                config.delivery() == Delivery::Live,
-                "--task is for the arm's own time: leave --pace full away"
-            );
-        }
-        for path in config.files_mut() {
-            *path = std::path::absolute(&path)
-                .with_context(|| format!("cannot make {} an absolute path", path.display()))?;
-        }
-        config.check()?;
-        Ok(config)
-    }
-
-    /// Whether the simulated user does the task: nobody else says which gestures are made.
-    fn has_simulated_user(&self, source: Source) -> bool {
-        let by_others = self.script.is_some() || self.random || self.keyboard;
-        self.task.is_some() && source == Source::Simulate && !by_others
-    }
-}
-
-fn not_ready(who: &str, timeout: Duration) -> Failure {
-    let seconds = timeout.as_secs();
-    Failure::running(anyhow::anyhow!("{who} not ready after {seconds} s: TENDON_LOG=debug shows more"))
-}
-
-/// Says something beside the live line.
-fn tell(text: &str) {
-    // Standard error may be closed; the arm's state says it, too.
-    let _ = writeln!(std::io::stderr(), "tendon: {text}");
-}
 
 /// Runs a session.
 pub fn run(options: &Options) -> Result<(), Failure> {
@@ -235,44 +37,29 @@ pub fn run(options: &Options) -> Result<(), Failure> {
     let Options { json, latency_log, figures, .. } = options;
     let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())?;
     let provenance = provenance::of_session(&config).map_err(Failure::input)?;
+    let output = Writer::standard_output().map_err(Failure::running)?;
+    let errors = Writer::standard_error().map_err(Failure::running)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
     Leftovers::remove(&lock, &config.session);
-    let result = check_shared_memory(&config)
+    let terminal = Terminal { output, errors };
+    let result = checks::shared_memory(&config)
         .map_err(Failure::input)
-        .and_then(|()| run_locked(options, &config, &outputs, provenance));
+        .and_then(|_| run_locked(options, &config, &outputs, provenance, &terminal));
     Leftovers::remove(&lock, &config.session);
-    result
+    // What is said of the end comes after all else, if the terminal takes it.
+    let _ = terminal.errors.finish(TERMINAL_TIMEOUT);
+    match terminal.output.finish(TERMINAL_TIMEOUT) {
+        // Nobody reads the table; it is no less true for that.
+        Ok(()) | Err(OutputError::Closed(_) | OutputError::Stalled(_)) => result,
+        Err(error) => result.and(Err(Failure::running(error))),
+    }
 }
 
-/// Refuses a session that would run out of shared memory, because that kills the process which touches the
-/// page that is missing (SIGBUS).
-fn check_shared_memory(config: &Config) -> anyhow::Result<()> {
-    let needed = required_bytes(&BLOCKS, config.block_length())
-        + required_bytes(&WINDOWS, config.window_length())
-        + required_bytes(&PREDICTIONS, Gesture::COUNT)
-        + required_bytes(&COMMANDS, TWIST_LENGTH)
-        + required_bytes(&STATES, STATE_LENGTH)
-        + Stage::ALL.len() as u64 * required_bytes(&MEASUREMENTS, BATCH_LENGTH);
-    let folder = shared_memory_directory();
-    let free = free_bytes(folder)?;
-    let megabytes = |bytes: u64| bytes.div_ceil(1_000_000);
-    ensure!(
-        needed <= free,
-        "{}: {} MB free, but the session may need {} MB: free some (`tendon doctor`), enlarge it (mount -o \
-         remount,size=… {0}), or take fewer channels or shorter blocks",
-        folder.display(),
-        megabytes(free),
-        megabytes(needed)
-    );
-    Ok(())
-}
-
-/// Free bytes of the file system at `folder`.
-pub fn free_bytes(folder: &Path) -> anyhow::Result<u64> {
-    let status = nix::sys::statvfs::statvfs(folder)
-        .with_context(|| format!("cannot look at {}: is it mounted?", folder.display()))?;
-    Ok(status.blocks_available() * status.fragment_size())
+/// The two standard streams. Neither is ever waited for while the session runs.
+struct Terminal {
+    output: Writer,
+    errors: Writer,
 }
 
 fn run_locked(
@@ -280,16 +67,19 @@ fn run_locked(
     config: &Config,
     outputs: &SessionOutputs,
     provenance: Provenance,
+    terminal: &Terminal,
 ) -> Result<(), Failure> {
+    let robot = RobotLine::default();
     let (sender, events) = channel();
-    stop_on_signals(&sender).map_err(Failure::running)?;
+    stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
     let observer = Observer::before_the_stages(&config.session, "supervisor").map_err(Failure::input)?;
     let has_simulated_user = options.has_simulated_user(config.acquisition.source);
     let task = options.task.map(|kind| zones::task(kind, config, has_simulated_user));
-    let task = task.transpose().map_err(Failure::input)?;
+    let mut task = task.transpose().map_err(Failure::input)?;
     // From before the arm goes to its start position: it can be stopped then, too.
     let keyboard = if options.keyboard || Keyboard::is_there() {
-        Some(Keyboard::listen(&sender, options.keyboard).map_err(Failure::input)?)
+        let keyboard = Keyboard::listen(&robot, &sender, options.keyboard);
+        Some(keyboard.context("--keyboard").map_err(Failure::input)?)
     } else {
         None
     };
@@ -299,383 +89,164 @@ fn run_locked(
     };
     let arm_stays = mark.as_ref().is_some_and(ArmMark::was_there);
     if arm_stays {
-        tell(
-            "the session before was killed or left the arm stopped: it stays where it is until `tendon arm` (key a) \
-             and a rest",
+        terminal.errors.say(
+            "tendon: the session before was killed or left the arm stopped: it stays where it is until `tendon arm` \
+             (key a) and a rest",
         );
     }
-    let children = Children::start(config, &sender, arm_stays).map_err(Failure::input)?;
-    let mut watch = Watch {
-        config,
-        provenance,
-        events,
-        children,
-        observer,
-        task,
-        screen: Screen::new(),
-        restarts: Vec::new(),
-        has_begun: false,
-        robot_obeyed: false,
+    let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors, arm_stays)
+        .map_err(Failure::input)?;
+    let watched = watch_until_the_end(&mut watch, options, config, &mut task, terminal);
+    let (usage, stopped) = watch.stop(|state| {
+        // What ends the task does not keep the session from ending.
+        let _ = task.as_mut().map(|task| task.observe(&state.header, state.position_mm()));
+    });
+    drop(keyboard);
+    terminal.errors.end_live();
+    let written = if watch.has_begun() {
+        let measurements = watch.observer().measurements();
+        let facts = SessionFacts { provenance, ..facts(config, &watch, usage, task.as_ref()) };
+        let report = Report::new(facts, measurements);
+        terminal.output.say(report.table().to_string());
+        outputs.write(&report, measurements, task.as_ref())
+    } else {
+        Ok(())
     };
-    let result = watch.session(options, outputs, keyboard);
-    if let Some(mark) = mark.filter(|_| watch.left_in_good_order(arm_stays)) {
+    if let Some(mark) = mark.filter(|_| left_in_good_order(&watch, arm_stays)) {
         mark.remove().map_err(Failure::running)?;
     }
-    result
+    // What ended the session says more than what came of that.
+    watched.and(stopped.map_err(Failure::running)).and(written.map_err(Failure::running))
 }
 
-fn stop_on_signals(events: &Sender<Event>) -> anyhow::Result<()> {
-    let mut signals = Signals::new([SIGINT, SIGTERM]).context("cannot handle signals")?;
-    let events = events.clone();
-    std::thread::Builder::new()
-        .name("signals".to_owned())
-        .spawn(move || {
-            for _ in signals.forever() {
-                // Nobody listens any more once the session is over.
-                let _ = events.send(Event::Stop);
-            }
-        })
-        .context("cannot start a thread")?;
-    Ok(())
-}
-
-/// Takes everything that the stages have said, and lets the task see every state.
-fn gather(observer: &mut Observer, task: &mut Option<TaskRun>) -> anyhow::Result<()> {
-    let mut no_room = Ok(());
-    observer.gather(|state| {
-        if let Some(Err(error)) = task.as_mut().map(|task| task.observe(&state.header, state.position_mm())) {
-            no_room = Err(error);
-        }
-    })?;
-    Ok(no_room?)
-}
-
-/// A running session as the supervisor sees it.
-struct Watch<'a> {
-    config: &'a Config,
-    provenance: Provenance,
-    events: Receiver<Event>,
-    children: Children,
-    observer: Observer,
-    task: Option<TaskRun>,
-    screen: Screen,
-    /// In the order in which they happened.
-    restarts: Vec<Restart>,
-    /// Whether all stages were ready once.
-    has_begun: bool,
-    /// Whether the robot process ended as it should, after it had stopped the arm.
-    robot_obeyed: bool,
-}
-
-/// What is known once all stages are ready.
-struct Started {
-    ready: BTreeMap<Stage, Ready>,
-    at: Instant,
-    /// Processor time before, s; less what processes that ended since have used.
-    cpu_s: BTreeMap<Stage, f64>,
-    own_cpu_s: f64,
-}
-
-/// A stage that ended and was started again.
-struct Restart {
-    stage: Stage,
-    at: Instant,
-    ready: Option<Instant>,
-}
-
-impl Watch<'_> {
-    /// The session, from the wait for its stages to the report. In the end no stage runs.
-    fn session(
-        &mut self,
-        options: &Options,
-        outputs: &SessionOutputs,
-        keyboard: Option<Keyboard>,
-    ) -> Result<(), Failure> {
-        let ready = self.wait_until_ready();
-        let Ok(Some(mut started)) = ready else {
-            let stopped = self.stop_stages().map_err(Failure::running);
-            return ready.and(stopped);
-        };
-        self.has_begun = true;
-        self.introduce(&started);
-        if options.keyboard {
-            println!("  {GESTURE_KEYS}");
-        }
-        if keyboard.is_some() {
-            println!("  {KEYS}");
-        }
-        let watched = self.until_the_end(&mut started, options.duration);
-        let (report, stopped) = self.stop_and_report(&started);
-        drop(keyboard);
-        self.screen.finish();
-        // Nobody may read the table any more, which is no fault; the files are there all the same.
-        let written = outputs.write(&report, self.observer.measurements(), self.task.as_ref());
-        let _ = writeln!(std::io::stdout(), "{}", report.table());
-        // What ended the session says more than what came of that.
-        watched.and(stopped.map_err(Failure::running)).and(written.map_err(Failure::running))
+/// Watches until the time is over, the recording is, somebody says stop, or a stage ends that cannot be started
+/// again.
+fn watch_until_the_end(
+    watch: &mut Watch<'_>,
+    options: &Options,
+    config: &Config,
+    task: &mut Option<TaskRun>,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
+    if watch.wait_until_ready().map_err(failure)? == Turn::Over {
+        return Ok(());
     }
-
-    /// Whether the arm was left free to move, or as it was found if it was never reached. `was_stopped`: it was found
-    /// stopped.
-    fn left_in_good_order(&self, was_stopped: bool) -> bool {
-        let is_stopped = match self.observer.newest_state() {
-            None => was_stopped,
-            Some(state) => {
-                let header = &state.header;
-                let never_reached =
-                    !self.has_begun && header.stop_reason == StopReason::ConnectionBroke as u8;
-                let permission = Permission::from_number(header.permission);
-                if never_reached { was_stopped } else { permission == Permission::Stopped }
+    introduce(watch, options, config, task.as_ref(), terminal);
+    let tick = if task.is_some() { TASK_TICK } else { TICK };
+    loop {
+        let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
+        let mut observed = Ok(());
+        let see = |state: &State| {
+            if let Some(task) = task {
+                let seen = task.observe(&state.header, state.position_mm());
+                observed = std::mem::replace(&mut observed, Ok(())).and(seen);
             }
         };
-        self.robot_obeyed && !is_stopped
-    }
-
-    /// Waits until all stages are ready, then lets the source begin; `None` when told to stop before.
-    fn wait_until_ready(&mut self) -> Result<Option<Started>, Failure> {
-        let begun = Instant::now();
-        let (timeout, on_the_way) = match self.config.robot.backend {
-            Backend::Simulate => (READY_TIMEOUT, ""),
-            Backend::XArm => (READY_TIMEOUT_OF_ARM, ": the arm goes to its start position"),
-        };
-        let mut ready = BTreeMap::new();
-        while ready.len() < Stage::ALL.len() {
-            match self.events.recv_timeout(TICK) {
-                Ok(Event::Ready(stage, message)) => drop(ready.insert(stage, message)),
-                Ok(Event::Stop) => return Ok(None),
-                Ok(Event::Ended(stage)) => return Err(self.ended_early(stage)),
-                Ok(Event::Order(stage, order)) => self.children.order(stage, order),
-                Err(_) => {}
-            }
-            let missing = || -> Vec<&str> {
-                let missing = Stage::ALL.into_iter().filter(|stage| !ready.contains_key(stage));
-                missing.map(Stage::name).collect()
-            };
-            if begun.elapsed() > timeout {
-                return Err(not_ready(&missing().join(", "), timeout));
-            }
-            if begun.elapsed() > PATIENCE {
-                let missing = missing();
-                let going = if missing == ["robot"] { on_the_way } else { "" };
-                self.screen.show(&format!("waiting for {}{going}", missing.join(", ")));
-            }
+        let turn = watch.turn(tick.min(left), see).map_err(failure)?;
+        observed.map_err(Failure::running)?;
+        if let Some(gesture) = task.as_mut().and_then(TaskRun::new_gesture) {
+            watch.order(Stage::Acquisition, Order::Gesture(gesture));
         }
-        let cpu_s = self
-            .children
-            .process_ids()
-            .filter_map(|(stage, process_id)| Some((stage, resources::cpu_s(process_id)?)))
-            .collect();
-        let own_cpu_s = resources::cpu_s(std::process::id()).unwrap_or_default();
-        for stage in Stage::ALL {
-            self.children.order(stage, Order::Start);
-        }
-        Ok(Some(Started { ready, at: Instant::now(), cpu_s, own_cpu_s }))
-    }
-
-    /// Stops all stages that run, robot first, and takes what they say last.
-    fn stop_stages(&mut self) -> anyhow::Result<()> {
-        let Watch { children, events, observer, task, .. } = self;
-        let runs = children.process_id(Stage::Robot).is_some();
-        let killed = children.stop(events, || gather(observer, task))?;
-        gather(observer, task)?;
-        self.robot_obeyed |= runs && !killed.contains(&Stage::Robot.name());
-        ensure!(killed.is_empty(), "{} did not stop and had to be killed", killed.join(", "));
-        Ok(())
-    }
-
-    fn introduce(&self, started: &Started) {
-        println!("session {}", self.config.session);
-        for stage in Stage::ALL {
-            if let Some(ready) = started.ready.get(&stage) {
-                println!("  {:<12}{}", stage.name(), ready.detail);
-            }
-        }
-        if let Some(task) = &self.task {
-            println!("  {:<12}{}", "task", task.describe());
-        }
-        // All stages ask for the same, but for the priority.
-        if let Some(ready) = started.ready.get(&Stage::Dsp) {
-            let shortfall = &ready.scheduling.shortfall;
-            let remark = if shortfall.is_empty() { String::new() } else { format!(" ({shortfall})") };
-            println!("  {:<12}{}{remark}", "scheduling", ready.scheduling);
+        terminal.errors.show(&line(watch, task.as_ref()));
+        let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
+        if turn == Turn::Over || is_over {
+            return Ok(());
         }
     }
+}
 
-    /// Watches until the time is over, the recording is, somebody says stop, or a stage ends that cannot be started
-    /// again.
-    fn until_the_end(&mut self, started: &mut Started, duration: Option<Duration>) -> Result<(), Failure> {
-        let begun = Instant::now();
-        let mut finished = None;
-        let tick = match self.config.delivery() {
-            Delivery::Live if self.task.is_some() => TASK_TICK,
-            Delivery::Live => TICK,
-            Delivery::Lossless => LOSSLESS_TICK,
-        };
-        loop {
-            let left = duration.map_or(tick, |duration| duration.saturating_sub(begun.elapsed()));
-            match self.events.recv_timeout(tick.min(left)) {
-                Ok(Event::Stop) => return Ok(()),
-                Ok(Event::Order(stage, order)) => self.children.order(stage, order),
-                Ok(Event::Ended(stage)) => self.restart(started, stage)?,
-                Ok(Event::Ready(stage, ready)) => self.go_on(started, stage, ready),
-                Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
-                Err(RecvTimeoutError::Disconnected) => return Ok(()),
-            }
-            gather(&mut self.observer, &mut self.task).map_err(Failure::running)?;
-            let (header, payload) = self
-                .observer
-                .newest_state()
-                .map_or((StateHeader::default(), [0.0; STATE_LENGTH]), |state| (state.header, state.payload));
-            let mut line = live_line(begun.elapsed(), &header, &payload);
-            if let Some(task) = &mut self.task {
-                if let Some(gesture) = task.new_gesture() {
-                    self.children.order(Stage::Acquisition, Order::Gesture(gesture));
-                }
-                line.push_str(&task.live());
-            }
-            self.screen.show(&line);
-            if self.observer.measurements().has_finished() && finished.is_none() {
-                finished = Some(Instant::now());
-            }
-            // What a stage missed while it was gone is never taken.
-            let is_over = !self.restarts.is_empty()
-                && finished.is_some_and(|finished| finished.elapsed() > LAST_OF_RECORDING);
-            if duration.is_some_and(|duration| begun.elapsed() >= duration)
-                || self.observer.measurements().is_drained()
-                || is_over
-            {
-                return Ok(());
-            }
+fn line(watch: &Watch<'_>, task: Option<&TaskRun>) -> String {
+    let newest = watch.observer().newest_state();
+    let (header, payload) =
+        newest.map_or((StateHeader::default(), [0.0; STATE_LENGTH]), |state| (state.header, state.payload));
+    let task = task.map_or(String::new(), TaskRun::live);
+    live_line(watch.elapsed(), &header, &payload, &task)
+}
+
+fn failure(error: SessionFailure) -> Failure {
+    if error.is_input() { Failure::input(error) } else { Failure::running(error) }
+}
+
+/// Says what runs, and what the keys do.
+fn introduce(
+    watch: &Watch<'_>,
+    options: &Options,
+    config: &Config,
+    task: Option<&TaskRun>,
+    terminal: &Terminal,
+) {
+    let say = |text: String| terminal.output.say(text);
+    say(format!("session {}", config.session));
+    for stage in Stage::ALL {
+        if let Some(ready) = watch.ready().get(&stage) {
+            say(format!("  {:<12}{}", stage.name(), ready.detail));
         }
     }
-
-    /// Starts a stage again that ended, in a session that goes on. The arm is stopped first, until it is armed.
-    fn restart(&mut self, started: &mut Started, stage: Stage) -> Result<(), Failure> {
-        self.children.order(Stage::Robot, Order::StageEnded);
-        let was_restarted = self.restarts.iter().rfind(|restart| restart.stage == stage);
-        let proved_itself = was_restarted
-            .is_none_or(|restart| restart.ready.is_some_and(|ready| ready.elapsed() >= RESTART_TRIAL));
-        // A replay that began anew would be another one.
-        let is_replay = self.config.acquisition.source == Source::Replay;
-        let goes_on = self.config.delivery() == Delivery::Live && !(is_replay && stage == Stage::Acquisition);
-        if !(proved_itself && goes_on) {
-            return Err(Failure { exit_code: 1, ..self.ended_early(stage) });
-        }
-        let used_s = self.children.process_id(stage).and_then(resources::cpu_s);
-        let status = self.children.reap(stage).map_err(Failure::running)?;
-        let status = status.map_or(String::new(), |status| format!(" ({status})"));
-        let Config { decision, dsp, .. } = self.config;
-        let rest = match (stage, decision.strategy) {
-            (Stage::Dsp, Strategy::Threshold) => {
-                format!("{} s of rest, on which it calibrates", dsp.activity.calibration_s)
-            }
-            _ => "a rest".to_owned(),
-        };
-        self.screen.finish();
-        tell(&format!(
-            "{} ended{status} and is started again: the arm moves after `tendon arm` (key a) and {rest}",
-            stage.name()
-        ));
-        Leftovers::remove_of_the_dead(&self.config.session);
-        self.children.restart(stage).map_err(Failure::running)?;
-        *started.cpu_s.entry(stage).or_default() -= used_s.unwrap_or_default();
-        self.restarts.push(Restart { stage, at: Instant::now(), ready: None });
-        Ok(())
+    if let Some(task) = task {
+        say(format!("  {:<12}{}", "task", task.describe()));
     }
-
-    /// Lets a stage that was started again begin.
-    fn go_on(&mut self, started: &mut Started, stage: Stage, ready: Ready) {
-        self.children.order(stage, Order::Start);
-        started.ready.insert(stage, ready);
-        if let Some(restart) = self.restarts.iter_mut().rfind(|restart| restart.stage == stage) {
-            restart.ready = Some(Instant::now());
-        }
+    // All stages ask for the same, but for the priority.
+    if let Some(ready) = watch.ready().get(&Stage::Dsp) {
+        let shortfall = &ready.scheduling.shortfall;
+        let remark = if shortfall.is_empty() { String::new() } else { format!(" ({shortfall})") };
+        say(format!("  {:<12}{}{remark}", "scheduling", ready.scheduling));
     }
-
-    /// A stage that was started again must become ready in time.
-    fn look_at_restarts(&self) -> Result<(), Failure> {
-        let is_late = |restart: &&Restart| restart.ready.is_none() && restart.at.elapsed() > READY_TIMEOUT;
-        match self.restarts.iter().find(is_late) {
-            None => Ok(()),
-            Some(restart) => {
-                Err(not_ready(&format!("{} was started again but", restart.stage.name()), READY_TIMEOUT))
-            }
-        }
+    if options.keyboard {
+        say(format!("  {GESTURE_KEYS}"));
     }
-
-    /// What to say of a stage that ended by itself. It has said itself why.
-    fn ended_early(&mut self, stage: Stage) -> Failure {
-        self.screen.finish();
-        match self.children.reap(stage) {
-            Ok(Some(status)) => {
-                // One that says that it ended has stopped the arm before.
-                self.robot_obeyed |= stage == Stage::Robot && matches!(status.code(), Some(0..=2));
-                let error = anyhow::anyhow!("{} ended ({status}): the session is stopped", stage.name());
-                let exit_code = if status.code() == Some(2) { 2 } else { 1 };
-                Failure { error, exit_code }
-            }
-            Ok(None) => Failure::running(anyhow::anyhow!("{} ended: the session is stopped", stage.name())),
-            Err(error) => Failure::running(error),
-        }
+    if options.keyboard || Keyboard::is_there() {
+        say(format!("  {KEYS}"));
     }
+}
 
-    /// Stops all stages, robot first, and says what was measured, also when something went wrong on the way.
-    fn stop_and_report(&mut self, started: &Started) -> (Report, anyhow::Result<()>) {
-        let duration = started.at.elapsed();
-        let mut cpu_s = BTreeMap::new();
-        let mut memory_mb = BTreeMap::new();
-        for (stage, process_id) in self.children.process_ids() {
-            let before = started.cpu_s.get(&stage).copied().unwrap_or_default();
-            if let Some(seconds) = resources::cpu_s(process_id) {
-                cpu_s.insert(stage.name().to_owned(), seconds - before);
-            }
-            if let Some(megabytes) = resources::memory_mb(process_id) {
-                memory_mb.insert(stage.name().to_owned(), megabytes);
-            }
+/// Whether the arm was left free to move, or as it was found if it was never reached. `was_stopped`: it was found
+/// stopped.
+fn left_in_good_order(watch: &Watch<'_>, was_stopped: bool) -> bool {
+    let is_stopped = match watch.observer().newest_state() {
+        None => was_stopped,
+        Some(state) => {
+            let header = &state.header;
+            let never_reached = !watch.has_begun() && header.stop_reason == StopReason::ConnectionBroke as u8;
+            let permission = Permission::from_number(header.permission);
+            if never_reached { was_stopped } else { permission == Permission::Stopped }
         }
-        let own = std::process::id();
-        if let (Some(seconds), Some(megabytes)) = (resources::cpu_s(own), resources::memory_mb(own)) {
-            cpu_s.insert("supervisor".to_owned(), seconds - started.own_cpu_s);
-            memory_mb.insert("supervisor".to_owned(), megabytes);
-        }
-        let gathered = gather(&mut self.observer, &mut self.task);
-        self.observer.ending();
-        let stopped = self.stop_stages();
-        let facts = SessionFacts { duration, cpu_s, memory_mb, ..self.facts(started) };
-        (Report::new(facts, self.observer.measurements()), stopped.and(gathered))
-    }
+    };
+    watch.robot_obeyed() && !is_stopped
+}
 
-    /// What the session knows of itself, but for how long it took and what it used.
-    fn facts(&self, started: &Started) -> SessionFacts {
-        let Config { acquisition, decision, robot, .. } = self.config;
-        let detail = |stage| started.ready.get(&stage).map_or(String::new(), |ready| ready.detail.clone());
-        let scheduling =
-            |(stage, ready): (&Stage, &Ready)| (stage.name().to_owned(), ready.scheduling.to_string());
-        let is_full_speed = self.config.delivery() == Delivery::Lossless;
-        SessionFacts {
-            session: self.config.session.to_string(),
-            source: match acquisition.source {
-                Source::Simulate => "simulate".to_owned(),
-                Source::Replay => "replay".to_owned(),
-                Source::Device => "device".to_owned(),
-            },
-            robot: match robot.backend {
-                Backend::Simulate => "simulate".to_owned(),
-                Backend::XArm => "xarm".to_owned(),
-            },
-            model: detail(Stage::Inference),
-            strategy: decision.strategy.name().to_owned(),
-            scheduling: started.ready.iter().map(scheduling).collect(),
-            full_speed_block_s: is_full_speed
-                .then(|| acquisition.block_samples as f64 / acquisition.sample_rate_hz),
-            final_position_mm: self
-                .observer
-                .newest_state()
-                .map_or([0.0; 3], |state| state.position_mm().map(f64::from)),
-            restarts: self.restarts.len() as u64,
-            task: self.task.as_ref().and_then(|task| task.report(self.observer.states_lost())),
-            provenance: self.provenance.clone(),
-            ..SessionFacts::default()
-        }
+/// What the session knows of itself.
+fn facts(config: &Config, watch: &Watch<'_>, usage: Usage, task: Option<&TaskRun>) -> SessionFacts {
+    let Config { acquisition, decision, robot, .. } = config;
+    let ready = watch.ready();
+    let detail = |stage| ready.get(&stage).map_or(String::new(), |ready| ready.detail.clone());
+    let scheduling =
+        |(stage, ready): (&Stage, &Ready)| (stage.name().to_owned(), ready.scheduling.to_string());
+    let is_full_speed = config.delivery() == Delivery::Lossless;
+    let observer = watch.observer();
+    SessionFacts {
+        session: config.session.to_string(),
+        duration: usage.duration,
+        source: match acquisition.source {
+            Source::Simulate => "simulate".to_owned(),
+            Source::Replay => "replay".to_owned(),
+            Source::Device => "device".to_owned(),
+        },
+        robot: match robot.backend {
+            Backend::Simulate => "simulate".to_owned(),
+            Backend::XArm => "xarm".to_owned(),
+        },
+        model: detail(Stage::Inference),
+        strategy: decision.strategy.name().to_owned(),
+        scheduling: ready.iter().map(scheduling).collect(),
+        full_speed_block_s: is_full_speed
+            .then(|| acquisition.block_samples as f64 / acquisition.sample_rate_hz),
+        cpu_s: usage.cpu_s,
+        memory_mb: usage.memory_mb,
+        final_position_mm: observer
+            .newest_state()
+            .map_or([0.0; 3], |state| state.position_mm().map(f64::from)),
+        restarts: watch.restarts(),
+        task: task.and_then(|task| task.report(observer.states_lost())),
+        ..SessionFacts::default()
     }
 }

@@ -1,4 +1,4 @@
-//! Requests and their replies, without a network.
+//! Answers requests, independent of any network.
 
 use tendon_xarm::command::register;
 use tendon_xarm::frame::{Frame, HEARTBEAT_PROTOCOL};
@@ -9,7 +9,7 @@ use tendon_xarm::{Command, GripperRequest};
 use crate::Model;
 use crate::model::Taken;
 
-/// Obeys one frame and appends the reply, if it has one.
+/// Carries out one request and appends its reply, if it has one.
 pub fn answer(model: &mut Model, frame: &Frame<'_>, into: &mut Vec<u8>) {
     let Some(&register) = frame.body.first() else { return };
     if frame.protocol == HEARTBEAT_PROTOCOL {
@@ -121,7 +121,7 @@ fn obey_gripper(model: &mut Model, request: GripperRequest, parameters: &mut Vec
     }
 }
 
-/// What only the vendor's client asks, beside the commands of `tendon-xarm`.
+/// Requests that only the vendor's client sends.
 fn obey_unlisted(body: &[u8], parameters: &mut Vec<u8>) -> Taken {
     /// Read and write a register of the board in the flange.
     const READ_FLANGE_BOARD: u8 = 0x80;

@@ -1,11 +1,11 @@
-//! What can be made to go wrong, each as one line of text.
+//! Faults, each written as one line of text.
 
 use std::str::FromStr;
 use std::time::Duration;
 
 use tendon_xarm::{Mode, StateOrder};
 
-/// One thing that goes wrong, or is put right. [`FAULTS`] explains each.
+/// Something that goes wrong, or ends. [`FAULTS`] explains each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// `emergency-stop`
@@ -46,46 +46,46 @@ pub enum Fault {
     Silent(u32),
 }
 
-/// The form of every line and what it does. COUNT is 1 if left out.
+/// Every form and what it does. COUNT defaults to 1.
 pub const FAULTS: [(&str, &str); 18] = [
     (
         "emergency-stop",
-        "the emergency stop button is pressed: error 1, motors off; the error returns whenever it is cleared, and the \
-         motors cannot be switched on",
+        "the emergency stop button is pressed and stays pressed: error 1, motors off; the error returns when cleared, \
+         and the motors cannot be enabled",
     ),
-    ("release", "the button is released; the error stays until a client clears it"),
+    ("release", "the emergency stop button is released; the error stays until a client clears it"),
     ("collision", "error 31: the arm stops"),
     ("error CODE", "any error, 1 to 255: the arm stops in mode 0"),
     ("warning CODE", "any warning, 1 to 255: the arm goes on"),
-    ("runaway MM_PER_S", "the flange moves along y whatever it is told, until the arm is stopped"),
+    ("runaway MM_PER_S", "the flange moves along y regardless of commands until the arm is stopped"),
     (
         "creep MM_PER_S",
-        "the flange creeps along y whenever the arm is on and told to rest, and says it rests; 0 ends it",
+        "the flange creeps along y while the arm is commanded to rest and reports that it rests; 0 ends it",
     ),
     ("mode N", "another client sets mode N (0, 1, 2, 4, 5, 6, 7) and sets the arm running"),
     ("state N", "another client sets state N: 0 run, 3 pause, 4 stop, 6 slow down and stop"),
     ("refuse [COUNT]", "the arm refuses the next velocities"),
     (
         "gripper-late MS",
-        "replies of the gripper come so much later from now on, while the arm answers at once; 0 ends it",
+        "from now on the gripper replies this much later, while the arm replies at once; 0 ends it",
     ),
-    ("gripper-off", "the gripper's motor is switched off: it stands and refuses to move until it is enabled"),
-    ("object PULSES", "an object of this width is put between the fingers, which then close no further"),
+    ("gripper-off", "the gripper's motor is switched off: it stops and refuses to move until it is enabled"),
+    ("object PULSES", "an object of this width is put between the fingers, which cannot close further"),
     ("drop", "all connections are cut"),
-    ("late MS [COUNT]", "the next replies come so much later, and hold up those behind them"),
-    ("torn [COUNT]", "the next replies come byte by byte"),
-    ("garbage [COUNT]", "random bytes come instead of the next replies"),
-    ("silent [COUNT]", "the next replies do not come"),
+    ("late MS [COUNT]", "the next replies come this much later and delay all replies behind them"),
+    ("torn [COUNT]", "the next replies arrive byte by byte"),
+    ("garbage [COUNT]", "random bytes arrive instead of the next replies"),
+    ("silent [COUNT]", "the next replies are lost"),
 ];
 
-/// A line that is no fault.
+/// A line that is not a fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{line}` is no fault: write {forms}", forms = forms())]
+#[error("`{line}` is not a fault: write {forms}", forms = forms())]
 pub struct FaultError {
     line: String,
 }
 
-/// All forms, one after the other.
+/// All forms in one line.
 fn forms() -> String {
     let forms = FAULTS.map(|(form, _)| form);
     let (last, others) = forms.split_last().unwrap_or((&"", &[]));
@@ -133,7 +133,7 @@ fn parse(words: &[&str]) -> Option<Fault> {
     }
 }
 
-/// What goes wrong with the next replies.
+/// Faults of the next replies.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ReplyFaults {
     gripper_late: Duration,
@@ -144,7 +144,7 @@ pub(crate) struct ReplyFaults {
     silent_count: u32,
 }
 
-/// What goes wrong with one reply.
+/// Fault of one reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ReplyFault {
     None,
@@ -171,7 +171,7 @@ impl ReplyFaults {
         self.gripper_late
     }
 
-    /// What goes wrong with the next reply.
+    /// The fault of the next reply.
     pub(crate) fn take(&mut self) -> ReplyFault {
         for (count, fault) in [
             (&mut self.silent_count, ReplyFault::Silent),

@@ -1,4 +1,4 @@
-//! The emulator on the network: control and report connections, each with a thread of its own.
+//! The emulator on the network: each control or report connection has its own thread.
 
 use std::io::{Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -15,10 +15,10 @@ use crate::fault::{Fault, ReplyFault, ReplyFaults};
 use crate::model::code;
 use crate::{Model, Properties, answer};
 
-/// Where the emulator listens. Port 0 is any free one.
+/// Address and ports of the emulator. Port 0 picks a free one.
 #[derive(Clone, Copy, Debug)]
 pub struct Listen {
-    /// Default 127.0.0.1: whoever reaches it can move the arm.
+    /// Default 127.0.0.1. Anybody who can reach it can move the arm.
     pub address: IpAddr,
     /// Control. Default 502.
     pub control_port: u16,
@@ -64,7 +64,7 @@ const RICH_AXES: usize = 146;
 #[derive(Debug)]
 pub struct Emulator {
     shared: Arc<Shared>,
-    /// Where it listens: the ports that were free.
+    /// Its address and the ports that it got.
     pub listen: Listen,
 }
 
@@ -87,7 +87,7 @@ impl Emulator {
     /// Listens on all ports, as the arm of [`Properties::default`].
     ///
     /// # Errors
-    /// If a port is taken or not allowed, with what to do.
+    /// If a port is taken or not permitted; the message says what to do.
     pub fn start(listen: Listen) -> anyhow::Result<Emulator> {
         Emulator::start_as(Properties::default(), listen)
     }
@@ -115,7 +115,7 @@ impl Emulator {
         for (port, report) in ports {
             let address = SocketAddr::new(listen.address, *port);
             let listener = TcpListener::bind(address).with_context(|| {
-                format!("cannot listen on {address}: choose another port; those below 1024 need rights")
+                format!("cannot listen on {address}: choose another port (ports below 1024 need root)")
             })?;
             *port = listener.local_addr()?.port();
             let shared = Arc::clone(&emulator.shared);
@@ -126,7 +126,7 @@ impl Emulator {
         Ok(emulator)
     }
 
-    /// Makes something go wrong, or puts it right.
+    /// Injects a fault, or ends one.
     pub fn inject(&self, fault: Fault) {
         let mut model = self.shared.model();
         match fault {
@@ -156,12 +156,12 @@ impl Emulator {
         }
     }
 
-    /// How many requests came for the gripper.
+    /// Number of requests to the gripper so far.
     pub fn gripper_requests(&self) -> u64 {
         self.shared.gripper_requests.load(Ordering::SeqCst)
     }
 
-    /// A copy of the arm as it is now.
+    /// A copy of the model as it is now.
     pub fn model(&self) -> Model {
         self.shared.model().clone()
     }
@@ -248,7 +248,7 @@ impl Shared {
 
     fn serve(self: &Arc<Shared>, connection: &mut TcpStream) -> std::io::Result<()> {
         connection.set_nodelay(true)?;
-        // Late replies of the gripper are written by others.
+        // Late replies of the gripper are written by other threads.
         let writer = Arc::new(Mutex::new(connection.try_clone()?));
         let mut decoder = Decoder::new();
         let mut buffer = [0; 4096];
@@ -295,7 +295,7 @@ impl Shared {
         }
     }
 
-    /// Xorshift, seeded by the time: other garbage each time.
+    /// Pseudo-random bytes (xorshift, seeded by the time).
     fn garbage(&self) -> [u8; 64] {
         let mut bits = self.started.elapsed().as_nanos() as u64 | 1;
         std::array::from_fn(|_| {
@@ -307,7 +307,7 @@ impl Shared {
     }
 }
 
-/// Sends a reply after a while; the replies to other requests overtake it.
+/// Sends a reply after a delay; replies to other requests overtake it.
 fn send_later(writer: &Arc<Mutex<TcpStream>>, reply: Vec<u8>, late: Duration) {
     let writer = Arc::clone(writer);
     std::thread::spawn(move || {

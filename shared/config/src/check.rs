@@ -1,4 +1,4 @@
-//! What no single key can tell: ranges, and whether the settings fit each other.
+//! Checks beyond the type of a key: ranges, and whether the settings fit each other.
 //!
 //! Ranges that concern one section stand in the library that the section belongs to.
 

@@ -10,10 +10,10 @@ pub enum ConfigError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// The file is not what it has to be.
+    /// The file cannot be parsed.
     #[error("{}: {message}{suggestion}", path.display())]
     Parse {
         /// The file.

@@ -5,8 +5,8 @@
 //!   read.rs           settings.rs     read.rs              check.rs
 //! ```
 //!
-//! Every key has a default (the paper's, where it names one), so an empty file is a valid one; an unknown
-//! key is an error that names the nearest known one. Paths are relative to the file's folder.
+//! Every key has a default (the paper's, where it gives one), so an empty file is valid. An unknown key is an
+//! error that names the nearest known one. Paths are relative to the file's folder.
 #![forbid(unsafe_code)]
 
 mod check;

@@ -36,8 +36,8 @@ impl Config {
         .flatten()
     }
 
-    /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`. What
-    /// is no TOML value is taken as text.
+    /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`.
+    /// Anything that is not a TOML value counts as text.
     ///
     /// # Errors
     ///
@@ -96,8 +96,8 @@ impl Config {
     }
 }
 
-/// A sentence naming the known key or value nearest to the unknown one that `message` complains of. serde
-/// lists the known ones in backticks after the unknown one.
+/// A sentence with the known key or value nearest to the unknown one in `message`. serde lists the known ones
+/// in backticks after the unknown one.
 fn suggestion(message: &str) -> String {
     let Some(start) = message.find("unknown field").or_else(|| message.find("unknown variant")) else {
         return String::new();

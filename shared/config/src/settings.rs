@@ -12,7 +12,7 @@ use tendon_signal::SignalSettings;
 use tendon_transport::{Delivery, SessionName};
 use tendon_zones::TaskSettings;
 
-/// Channels of the 3DC armband that stand for the paper's four electrodes.
+/// Channels of the 3DC armband that take the place of the paper's four electrodes.
 const MODEL_CHANNELS_OF_THREE_DC: [usize; 4] = [0, 3, 5, 8];
 
 /// All settings of a session.
@@ -98,11 +98,11 @@ impl Default for AcquisitionSettings {
     }
 }
 
-/// Who says which gesture the simulated person makes.
+/// Who decides which gesture the simulated person makes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Gestures {
-    /// `script`, over and over.
+    /// `script`, repeated.
     Script,
     /// A random sequence, set by `seed`.
     Random,
@@ -114,7 +114,7 @@ pub enum Gestures {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulateSettings {
-    /// Who says which gesture is made.
+    /// Who decides which gesture is made.
     pub gestures: Gestures,
     /// Gestures and how long each is held: `rest 6s, extension 2s, …`. Rest comes first: the threshold
     /// strategy calibrates on its first seconds.
@@ -137,7 +137,7 @@ pub struct SimulateSettings {
     pub wander_amplitude: f32,
     /// Constant offset of the amplifier.
     pub offset: f32,
-    /// How often a minute, on average, one channel goes flat; 0 for never.
+    /// How often per minute, on average, one channel goes flat; 0 for never.
     pub dropouts_per_minute: f64,
     /// How long a channel stays flat, ms.
     pub dropout_ms: f64,
@@ -172,12 +172,13 @@ impl Default for SimulateSettings {
 }
 
 /// How fast a recording is replayed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Pace {
-    /// As fast as it was recorded. The newest messages are kept; what a slow stage misses is counted.
+    /// As fast as it was recorded. The newest messages are kept, and what a slow stage misses is counted.
     True,
-    /// As fast as the stages can. Every message is waited for, so the outcome is the same every time.
+    /// As fast as the stages can. The source waits for every message, so the result is the same every time.
     Full,
 }
 
@@ -192,7 +193,7 @@ pub struct ReplaySettings {
     pub channels: Option<Vec<Channel>>,
     /// Sampling rate of a plain table, Hz.
     pub sample_rate_hz: Option<f64>,
-    /// Of a 3DC folder, only this repetition; all in order when left out.
+    /// Only this repetition of a 3DC folder; without it, all in order.
     pub repetition: Option<u32>,
     /// How fast.
     pub pace: Pace,
@@ -249,7 +250,7 @@ pub struct XArmSettings {
     pub real_time_report_port: u16,
     /// Whether it has a gripper.
     pub gripper: bool,
-    /// Greatest speed of a joint on the way to the start position, degrees/s.
+    /// Maximum speed of a joint on the way to the start position, degrees/s.
     pub start_speed_deg_per_s: f64,
 }
 
@@ -289,8 +290,9 @@ impl Default for RobotSettings {
 }
 
 /// Whether real-time scheduling is used.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Realtime {
     /// Where the rights allow it.
     Auto,
@@ -317,7 +319,7 @@ impl Default for SchedulingSettings {
 }
 
 impl Config {
-    /// Whether messages are waited for or the newest are kept.
+    /// Whether publishers wait or only the newest messages are kept.
     pub fn delivery(&self) -> Delivery {
         match (self.acquisition.source, self.acquisition.replay.pace) {
             (Source::Replay, Pace::Full) => Delivery::Lossless,

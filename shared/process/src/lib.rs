@@ -16,7 +16,7 @@ mod measure;
 mod orders;
 mod scheduling;
 
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::os::fd::AsFd;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -226,6 +226,9 @@ where
 {
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        // A standard error that is closed must not end a stage.
+        .log_internal_errors(false)
         .with_env_filter(
             tracing_subscriber::EnvFilter::try_from_env("TENDON_LOG").unwrap_or_else(|_| "warn".into()),
         )

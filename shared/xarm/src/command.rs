@@ -1,26 +1,26 @@
-//! What can be asked of the arm: each command with its register and parameters.
+//! Commands to the arm, each with its register and parameters.
 
 use std::fmt;
 
 use crate::frame;
 use crate::gripper::{self, GripperRequest};
 
-/// How the arm takes motion.
+/// How the arm is controlled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Planned motion to positions.
+    /// Planned motion to target positions.
     Position = 0,
     /// A stream of joint positions.
     Servo = 1,
-    /// Moved by hand.
+    /// Teaching: moved by hand.
     Teach = 2,
     /// Joint velocities.
     JointVelocity = 4,
     /// Velocity of the flange.
     CartesianVelocity = 5,
-    /// Joint positions, the newest replaces the last.
+    /// Target joint positions; the newest replaces the one before.
     JointOnline = 6,
-    /// Poses, the newest replaces the last.
+    /// Target poses; the newest replaces the one before.
     CartesianOnline = 7,
 }
 
@@ -34,7 +34,7 @@ impl Mode {
     }
 }
 
-/// What the arm can be told to be.
+/// An order that changes the state of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StateOrder {
     /// Ready for motion.
@@ -43,7 +43,7 @@ pub enum StateOrder {
     Pause = 3,
     /// Stop at once and forget all that is queued.
     Stop = 4,
-    /// Slow down, then stop.
+    /// Decelerate, then stop.
     SlowAndStop = 6,
 }
 
@@ -55,7 +55,7 @@ impl StateOrder {
     }
 }
 
-/// What the arm says it is.
+/// The state that the arm reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArmState {
     /// In motion.
@@ -99,12 +99,12 @@ impl fmt::Display for ArmState {
     }
 }
 
-/// In which frame the velocity of the flange is given.
+/// The frame of a flange velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TwistFrame {
-    /// That of the base.
+    /// The base frame.
     Base = 0,
-    /// That of the tool.
+    /// The tool frame.
     Tool = 1,
 }
 
@@ -151,9 +151,9 @@ pub enum Command {
     },
     /// Run, pause or stop.
     SetState(StateOrder),
-    /// What the arm is: [`crate::reply::Reply::arm_state`].
+    /// State of the arm: [`crate::reply::Reply::arm_state`].
     GetState,
-    /// How many commands wait: [`crate::reply::Reply::command_count`].
+    /// Number of queued commands: [`crate::reply::Reply::command_count`].
     GetCommandCount,
     /// Error and warning code: [`crate::reply::Reply::codes`].
     GetErrors,
@@ -161,7 +161,7 @@ pub enum Command {
     ClearError,
     /// Clear the warning.
     ClearWarning,
-    /// How motion is taken; the arm must then be set running.
+    /// Change the mode; the arm must then be set running.
     SetMode(Mode),
     /// Pose of the flange: [`crate::reply::Reply::floats`], 6.
     GetPose,
@@ -173,15 +173,15 @@ pub enum Command {
     SetReducedMode(bool),
     /// The box that the flange may move in, in mm: x highest and lowest, then y, then z.
     SetBoundary([i32; 6]),
-    /// Whether that box is watched.
+    /// Enforce that box or not.
     SetFence(bool),
     /// Joint velocities, in mode 4.
     JointVelocity {
         /// Joint 1 first, in rad/s.
         velocities_rad_per_s: [f32; 7],
-        /// Whether all joints gather speed in the same time.
+        /// Whether all joints reach their velocity at the same time.
         synchronous: bool,
-        /// The arm comes to rest by itself after so long, in s. 0 or `None`: it never does.
+        /// Time after which the arm comes to rest by itself, in s. 0 or `None`: never.
         duration_s: Option<f32>,
     },
     /// Velocity of the flange, in mode 5.
@@ -190,20 +190,20 @@ pub enum Command {
         twist: [f32; 6],
         /// The frame of `twist`.
         frame: TwistFrame,
-        /// The arm comes to rest by itself after so long, in s. 0 or `None`: it never does.
+        /// Time after which the arm comes to rest by itself, in s. 0 or `None`: never.
         duration_s: Option<f32>,
     },
-    /// To the gripper.
+    /// A request to the gripper.
     Gripper(GripperRequest),
 }
 
-/// A request that cannot be understood.
+/// A request that is not one of [`Command`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// Nothing behind the header.
     #[error("a request without a register: it must have a body of one byte or more")]
     Empty,
-    /// A register that is not listed here.
+    /// A register that no [`Command`] uses.
     #[error("register {0:#04x} is not known")]
     UnknownRegister(u8),
     /// Parameters of another length or range.

@@ -24,7 +24,7 @@ pub const FEEDBACK_REGISTER: u8 = 0xFF;
 /// Bytes of the header.
 pub const HEADER_LENGTH: usize = 6;
 
-/// The longest body that counts as one, in bytes: twice what the longest known reply needs.
+/// Longest accepted body in bytes: twice that of the longest known reply.
 pub const LONGEST_BODY: usize = 512;
 
 /// The shortest body in bytes: a request without parameters.
@@ -38,7 +38,7 @@ pub fn next_transaction(transaction: u16) -> u16 {
 /// One frame of either direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// Which request this is, or answers.
+    /// Id of the request, or of the request that this answers.
     pub transaction: u16,
     /// Protocol number, 0 to [`HIGHEST_PROTOCOL`].
     pub protocol: u16,
@@ -75,10 +75,10 @@ pub(crate) fn encode_header(into: &mut Vec<u8>, transaction: u16, protocol: u16,
     into.extend_from_slice(&(body_length as u16).to_be_bytes());
 }
 
-/// Cuts a byte stream into frames, however the bytes come: torn, several at once, with garbage between.
+/// Splits a byte stream into frames, whether they arrive in pieces, several at once, or with garbage in between.
 ///
-/// Bytes that cannot begin a frame are skipped one by one and counted. It holds one frame at most; it never
-/// allocates once constructed.
+/// Bytes that cannot begin a frame are skipped one by one and counted. The decoder buffers at most one frame and does
+/// not allocate after construction.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     buffer: Box<[u8; HEADER_LENGTH + LONGEST_BODY]>,
@@ -142,7 +142,7 @@ impl Decoder {
         self.skipped_bytes
     }
 
-    /// Forgets the frame that is not complete, should what looked like one be garbage that claims a long body.
+    /// Discards an incomplete frame, which may be garbage that claims a long body.
     pub fn give_up(&mut self) {
         if !std::mem::take(&mut self.handed_out) {
             self.skipped_bytes += self.filled as u64;

@@ -3,7 +3,7 @@
 use crate::error::Source;
 use crate::frame::{Frame, LONGEST_BODY, PROTOCOL, encode_header};
 
-/// What the arm says of itself with every reply.
+/// State bits that come with every reply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StateByte(pub u8);
 
@@ -45,13 +45,13 @@ pub struct Reply<'a> {
     pub transaction: u16,
     /// The register of that request.
     pub register: u8,
-    /// What the arm says of itself.
+    /// State bits of the arm.
     pub state: StateByte,
-    /// The values that were asked for.
+    /// The requested values.
     pub parameters: &'a [u8],
 }
 
-/// A frame that is no reply, or a reply without what was asked for.
+/// A frame that is not a reply, or a reply without the requested values.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ReplyError {
     /// Another protocol.
@@ -176,7 +176,7 @@ impl<'a> Reply<'a> {
         Ok((error, warning))
     }
 
-    /// How many commands wait, of [`crate::Command::GetCommandCount`].
+    /// Number of queued commands, of [`crate::Command::GetCommandCount`].
     ///
     /// # Errors
     /// [`ReplyError::Short`] without it.
@@ -239,7 +239,7 @@ impl<'a> Reply<'a> {
         Ok(status & 0x03 == crate::gripper::MOVING)
     }
 
-    /// Whether the gripper took a write.
+    /// Whether the gripper accepted a write.
     ///
     /// # Errors
     /// [`ReplyError::Gripper`] if it refused, [`ReplyError::Short`] if it did not answer.
@@ -263,7 +263,7 @@ impl<'a> Reply<'a> {
     }
 }
 
-/// The fault that a reply of [`crate::Command::GetErrors`] tells, if any; an error goes before a warning.
+/// The fault in a reply to [`crate::Command::GetErrors`], if any. An error takes precedence over a warning.
 ///
 /// # Errors
 /// As [`Reply::codes`].

@@ -1,4 +1,4 @@
-//! What the arm tells by itself: frames of the report connections, and a decoder for their stream.
+//! Reports that the arm pushes over its report connections, and a decoder for their stream.
 //!
 //! ```text
 //! byte   0        4            5               7             35                  59              87
@@ -11,7 +11,7 @@
 //! 30002  5 Hz     233 or 245 bytes: as 30001, and more
 //! ```
 //!
-//! Of the lengths 133 and 233 some firmware sends 12 bytes more than it says; the decoder skips them.
+//! Some firmware announces 133 or 233 bytes and sends 12 more; the decoder skips those.
 
 use crate::ArmState;
 use crate::frame::fill;
@@ -56,13 +56,13 @@ impl Kind {
     }
 }
 
-/// The longest frame that counts as one, in bytes. Newer firmware may send more than is known here.
+/// Longest accepted report in bytes. Newer firmware may send fields that are unknown here.
 pub const LONGEST_REPORT: usize = 1024;
 
 /// Bytes of the length.
 const HEADER_LENGTH: usize = 4;
 
-/// What the reports 30001 and 30002 have and 30003 has not.
+/// Brakes, motors and error codes, in the reports 30001 and 30002 only.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Health {
     /// Which joints' brakes are released, joint 1 in the lowest bit.
@@ -150,11 +150,11 @@ pub struct Forces {
 /// One report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
-    /// What the arm is.
+    /// State of the arm.
     pub state: ArmState,
-    /// Number of the mode: [`crate::Mode`], or one that is not known here.
+    /// Number of the mode: [`crate::Mode`], or an unknown one.
     pub mode: u8,
-    /// How many commands wait.
+    /// Number of queued commands.
     pub command_count: u16,
     /// Joint angles in rad, joint 1 first.
     pub joints_rad: [f32; 7],
@@ -171,7 +171,7 @@ pub struct Report {
     pub forces: Option<Forces>,
 }
 
-/// A frame that is no report.
+/// A frame that is not a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ReportError {
     /// Too few bytes.
@@ -272,10 +272,10 @@ fn put_floats(bytes: &mut [u8], values: &[f32]) {
     }
 }
 
-/// Cuts the byte stream of a report connection into reports, however the bytes come.
+/// Splits the byte stream of a report connection into reports, whether they arrive in pieces or several at once.
 ///
-/// Bytes that cannot begin a report are skipped one by one and counted. It holds one report at most; it never
-/// allocates once constructed.
+/// Bytes that cannot begin a report are skipped one by one and counted. The decoder buffers at most one report and
+/// does not allocate after construction.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     kind: Kind,
@@ -291,7 +291,7 @@ impl Decoder {
     }
 
     /// The next report. Takes from the front of `input` what it needs; `None` once all is taken and no report is
-    /// complete. Frames that are no report are skipped.
+    /// complete. Frames that are not reports are skipped.
     pub fn next_report(&mut self, input: &mut &[u8]) -> Option<Report> {
         loop {
             if !self.fill(HEADER_LENGTH, input) {

@@ -167,37 +167,39 @@ impl Cause {
         }
     }
 
-    /// Whether it ends the session in good order when the arm moves by permission, so that the arm may go to its start
-    /// by itself in the next one.
-    fn is_good_order(self) -> bool {
-        match self {
-            Cause::Order(by) | Cause::Stalled(_, by) => !matches!(by, Order::Stop | Order::Space),
-            Cause::ClosedOutput | Cause::ClosedOutputs | Cause::FullDevice | Cause::TerminalGone => true,
-            _ => false,
-        }
-    }
-
     /// Whether the arm has an error afterwards that somebody has to acknowledge.
     fn is_error_of_arm(self) -> bool {
         matches!(self, Cause::EmergencyStop | Cause::Collision | Cause::ArmError)
     }
 
-    /// Whether the arm must stop for it in `phase`. A stage through which nothing flows yet may hang without anybody's
-    /// knowing: no sample is on its way while the arm goes to its start.
-    pub fn must_stop(self, phase: Phase) -> bool {
-        let idle = match self {
-            Cause::Hang(Victim::Stage(stage)) => stage != Stage::Robot,
-            _ => false,
-        };
-        !(idle && matches!(phase, Phase::StartUp | Phase::WayToStart))
+    /// Whether it stops the arm until somebody arms it. Silence does not: after it, a rest is enough. Nor does what ends
+    /// the session in good order.
+    fn is_stop(self) -> bool {
+        match self {
+            Cause::Kill(_) | Cause::Cut | Cause::Order(Order::Stop | Order::Space) => true,
+            Cause::Stalled(_, Order::Stop | Order::Space) => true,
+            _ => self.is_error_of_arm(),
+        }
     }
 
-    /// Whether the next session may move the arm before anybody has armed it.
-    pub fn may_move_afterwards(self, phase: Phase) -> bool {
+    /// Whether the arm must be at rest soon after it in `phase`. While the arm goes to its start, a stage through which
+    /// nothing flows yet may hang without anybody's knowing; and a connection that is not there yet cannot be cut.
+    pub fn must_stop(self, phase: Phase) -> bool {
+        match self {
+            Cause::Hang(Victim::Stage(stage)) if stage != Stage::Robot => {
+                matches!(phase, Phase::Moving | Phase::ShutDown)
+            }
+            Cause::Cut => phase != Phase::StartUp,
+            _ => true,
+        }
+    }
+
+    /// Whether the next session may move the arm before anybody has armed it. `has_record`: the arm's record says that
+    /// it was left in good order; in the first moments of the start nobody has taken the one before away yet.
+    pub fn may_move_afterwards(self, phase: Phase, has_record: bool) -> bool {
         match phase {
-            // The arm was new to Tendon, and never armed.
-            Phase::StartUp => false,
-            Phase::WayToStart | Phase::Moving => self.is_good_order(),
+            Phase::StartUp => has_record && !self.is_error_of_arm(),
+            Phase::WayToStart | Phase::Moving => !self.is_stop(),
             // It was told to end in good order, and may have done so before the cause had its effect.
             Phase::ShutDown => !self.is_error_of_arm(),
         }

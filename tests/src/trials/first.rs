@@ -16,10 +16,8 @@ use super::{
 
 /// Gestures long enough that the arm does not stop for want of one.
 const SCRIPT: &str = "rest 0.8s, ulnar 3s, rest 0.8s, radial 3s";
-/// A start position some centimetres away from where a new arm stands: 0.8 s.
-const START_ELSEWHERE: &str = "robot.arm.start_joints_deg=[8.0, -15.0, 0.0, 45.0, 0.0, 60.0, 0.0]";
-/// Time between two orders to arm, while the arm does not move yet.
-const BETWEEN_ARMS: Duration = Duration::from_millis(1500);
+/// A start position some centimetres away from where the arm stands: more than a second.
+const START_ELSEWHERE: &str = "robot.arm.start_joints_deg=[12.0, -15.0, 0.0, 45.0, 0.0, 60.0, 0.0]";
 /// How long outputs have been stalled, or closed, when the order comes.
 const BEFORE_ORDER: Duration = Duration::from_millis(400);
 /// How long a report may take while nobody reads the outputs.
@@ -57,7 +55,7 @@ pub fn run(bench: &Bench, plan: &Plan) -> First {
     if plan.is_released && plan.cause == Cause::EmergencyStop {
         bench.emulator.inject(Fault::Release);
     }
-    let may_move_afterwards = plan.cause.may_move_afterwards(plan.phase);
+    let may_move_afterwards = plan.cause.may_move_afterwards(plan.phase, bench.has_record());
     if failures.contains(&Failure::NoEnd) {
         // What runs on leaves everything where it is.
         let errors = session.outputs.errors();
@@ -114,14 +112,9 @@ impl<'a> Running<'a> {
             Phase::Moving | Phase::ShutDown => (0.97 * FULL_SPEED_MM_PER_S, 400.0),
         };
         let begun = Instant::now();
-        let mut armed_at = begun;
         while self.bench.speed_mm_per_s() < speed_mm_per_s {
             if begun.elapsed() > PHASE_LIMIT || self.has_ended() {
                 return false;
-            }
-            if armed_at.elapsed() > BETWEEN_ARMS && self.watch.greatest_speed_mm_per_s() == 0.0 {
-                self.bench.order("arm");
-                armed_at = Instant::now();
             }
             std::thread::sleep(LOOK);
         }

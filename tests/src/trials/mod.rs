@@ -20,6 +20,7 @@ mod second;
 mod watch;
 
 use std::fmt;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus};
 use std::sync::Arc;
@@ -175,18 +176,36 @@ impl Bench {
     fn new(seed: u64) -> Bench {
         let session = format!("trial-{}-{seed}", std::process::id() % 100_000);
         let folder = tempfile::tempdir().unwrap();
-        for name in ["run", "state"] {
-            let path = folder.path().join(name);
-            std::fs::create_dir(&path).unwrap();
-            let private = std::os::unix::fs::PermissionsExt::from_mode(0o700);
-            std::fs::set_permissions(&path, private).unwrap();
-        }
-        Bench {
+        std::fs::DirBuilder::new().mode(0o700).create(folder.path().join("run")).unwrap();
+        let bench = Bench {
             seed,
             emulator: Arc::new(Emulator::start(Listen::anywhere()).unwrap()),
             session: session.parse().unwrap(),
             folder,
-        }
+        };
+        bench.leave_record();
+        bench
+    }
+
+    /// The record that permits the arm to set out by itself: it was left in good order where it is.
+    fn leave_record(&self) {
+        let Listen { address, control_port, .. } = self.emulator.listen;
+        let address = address.to_string().replace('.', "-");
+        let model = self.emulator.model();
+        let serial_number = &model.properties().serial_number;
+        let joints_rad = model.report().joints_rad.map(f64::from);
+        let record = self.records().join(format!("{serial_number}-{address}-{control_port}.json"));
+        std::fs::DirBuilder::new().recursive(true).mode(0o700).create(self.records()).unwrap();
+        std::fs::write(record, format!("{{\"left_in_good_order_at_joints_rad\":{joints_rad:?}}}")).unwrap();
+    }
+
+    /// Where the records of arms are.
+    fn records(&self) -> PathBuf {
+        self.folder.path().join("state/tendon/arms")
+    }
+
+    fn has_record(&self) -> bool {
+        std::fs::read_dir(self.records()).is_ok_and(|mut records| records.next().is_some())
     }
 
     /// A `tendon` with these arguments in the environment of the trial.

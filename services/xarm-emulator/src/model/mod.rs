@@ -7,8 +7,8 @@
 //!  └─ emergency stop ───┴────────────────────────────────────────────┘ an error also: mode 0
 //! ```
 //!
-//! Time is given from outside in ns, so that the same orders give the same motion. Unlike the simulated arm of
-//! `tendon-arm` it does not slow down before its limits: it runs into them and reports the error, as the real one.
+//! The caller passes the time in ns, so the same orders give the same motion. Unlike the simulated arm of `tendon-arm`,
+//! it does not slow down before its limits: like the real arm, it runs into them and reports the error.
 
 mod gripper;
 mod motion;
@@ -25,7 +25,7 @@ use crate::Properties;
 pub const STEP_NS: u64 = 4_000_000;
 const STEP_S: f64 = STEP_NS as f64 * 1e-9;
 
-/// Motion commands are swallowed for so long after a change of mode or state, ns.
+/// Motion commands are ignored for this long after a change of mode or state, ns.
 pub const SETTLING_NS: u64 = 100_000_000;
 
 /// Greatest linear acceleration of the flange, mm/s².
@@ -49,10 +49,10 @@ pub mod code {
     pub const BOUNDARY: u8 = 35;
 }
 
-/// Of an arm whose limits nobody knows.
+/// No joint limits, for an arm whose serial number cannot be read.
 const NO_LIMITS: JointLimits = JointLimits { lower_rad: [f64::MIN; 7], upper_rad: [f64::MAX; 7] };
 
-/// What the arm is to follow.
+/// The motion that was ordered.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Target {
     Rest,
@@ -60,16 +60,16 @@ enum Target {
     Joints(JointVector),
 }
 
-/// Whether an order was taken.
+/// Whether an order was accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
-    /// It was.
+    /// Accepted.
     Yes,
-    /// It was not: the request is invalid now.
+    /// Refused: the order is invalid in the present state.
     Invalid,
 }
 
-/// The arm.
+/// The emulated arm.
 #[derive(Clone, Debug)]
 pub struct Model {
     arm: XArm7,
@@ -79,15 +79,15 @@ pub struct Model {
     tcp_offset_m: Isometry3<f64>,
     time_ns: u64,
     joints_rad: JointVector,
-    /// Of the flange in the base frame, mm/s and rad/s, in mode 5.
+    /// Flange velocity in the base frame, mm/s and rad/s, in mode 5.
     flange_velocity: Vector6<f64>,
     joint_velocities_rad_per_s: JointVector,
     target: Target,
-    /// The target is kept whatever is ordered, until the arm is stopped.
+    /// Orders are ignored until the arm is stopped.
     runs_away: bool,
     /// How fast the flange creeps along y at commanded rest, mm/s.
     creep_mm_per_s: f64,
-    /// So many velocities are refused.
+    /// Number of velocities still to be refused.
     refused_velocities: u32,
     /// When the target becomes rest.
     deadline_ns: Option<u64>,
@@ -109,7 +109,7 @@ pub struct Model {
 impl Model {
     /// An arm just switched on, at the default start posture of Tendon, with its gripper open.
     pub fn new(properties: Properties, now_ns: u64) -> Model {
-        // One that no client understands moves within the wide limits of an older arm.
+        // An arm with an unreadable version gets the limits of the default one.
         let identity = properties.identity().or_else(|| Properties::default().identity());
         let [x, y, z, roll, pitch, yaw] = properties.setup.tcp_offset.map(f64::from);
         Model {
@@ -144,11 +144,11 @@ impl Model {
         }
     }
 
-    /// Lets time pass, in whole steps.
+    /// Advances the model to this time, in whole steps.
     pub fn advance_to(&mut self, now_ns: u64) {
         while self.time_ns + STEP_NS <= now_ns {
             if self.is_still() {
-                // Nothing happens until somebody orders something.
+                // Nothing changes before the next order.
                 self.time_ns += (now_ns - self.time_ns) / STEP_NS * STEP_NS;
                 return;
             }
@@ -211,7 +211,7 @@ impl Model {
         Taken::Yes
     }
 
-    /// The velocity of the flange to follow: mm/s, rad/s.
+    /// Sets the flange velocity: mm/s, rad/s.
     pub fn set_flange_velocity(
         &mut self,
         twist: [f32; 6],
@@ -222,7 +222,7 @@ impl Model {
         self.follow(Mode::CartesianVelocity, Target::Flange { twist, frame }, duration_s)
     }
 
-    /// The joint velocities to follow, rad/s.
+    /// Sets the joint velocities, rad/s.
     pub fn set_joint_velocities(&mut self, velocities_rad_per_s: [f32; 7], duration_s: Option<f32>) -> Taken {
         let target = Target::Joints(JointVector::from(velocities_rad_per_s.map(f64::from)));
         self.follow(Mode::JointVelocity, target, duration_s)
@@ -246,7 +246,7 @@ impl Model {
         Taken::Yes
     }
 
-    /// The flange goes along y (mm/s) whatever is ordered, until the arm is stopped: as if somebody else drove it.
+    /// Moves the flange along y (mm/s) regardless of orders until the arm is stopped.
     pub fn run_away(&mut self, along_y_mm_per_s: f64) {
         self.rest();
         self.target = Target::Flange {
@@ -256,23 +256,23 @@ impl Model {
         self.runs_away = true;
     }
 
-    /// Makes the flange creep along y (mm/s) whenever the arm is on and at commanded rest; 0 ends it.
+    /// Makes the flange creep along y (mm/s) while the arm is running and commanded to rest; 0 ends it.
     pub fn creep(&mut self, along_y_mm_per_s: f64) {
         self.creep_mm_per_s = along_y_mm_per_s;
     }
 
-    /// Refuses the next velocities, so many.
+    /// Refuses this many velocities.
     pub fn refuse_velocities(&mut self, count: u32) {
         self.refused_velocities = count;
     }
 
-    /// What another client does to drive the arm its own way: another mode, then running.
+    /// Does what another client does to take the arm over: sets a mode, then sets the arm running.
     pub fn take_over(&mut self, mode: Mode) {
         self.set_mode(mode);
         self.set_state(StateOrder::Run);
     }
 
-    /// Clears the error; while the emergency stop is pressed it comes back at once.
+    /// Clears the error. While the emergency stop is pressed it returns at once.
     pub fn clear_error(&mut self) {
         if !self.emergency_stop_pressed {
             self.error = 0;
@@ -284,7 +284,7 @@ impl Model {
         self.warning = 0;
     }
 
-    /// An error: the arm stops at once, in mode 0. After an emergency stop its motors are off.
+    /// Raises an error: the arm stops at once and falls back to mode 0. An emergency stop also switches the motors off.
     pub fn fail(&mut self, error: u8) {
         self.error = error;
         self.mode = Mode::Position;
@@ -295,7 +295,7 @@ impl Model {
         }
     }
 
-    /// A warning, which stops nothing.
+    /// Raises a warning, which does not stop the arm.
     pub fn warn(&mut self, warning: u8) {
         self.warning = warning;
     }
@@ -323,7 +323,7 @@ impl Model {
         self.boundary_mm = boundary_mm;
     }
 
-    /// Whether that box is watched.
+    /// Enforces that box or not.
     pub fn set_fence(&mut self, on: bool) {
         self.fence_on = on;
     }
@@ -333,7 +333,7 @@ impl Model {
         &self.gripper
     }
 
-    /// The gripper, to be told something.
+    /// The gripper, to give it orders.
     pub fn gripper_mut(&mut self) -> &mut Gripper {
         &mut self.gripper
     }
@@ -343,16 +343,16 @@ impl Model {
         (self.error, self.warning)
     }
 
-    /// Whether motion is obeyed.
+    /// Whether the arm follows velocities.
     pub fn is_ready(&self) -> bool {
         self.error == 0 && self.stopped.is_none() && self.motors_on.iter().all(|&on| on)
     }
 
-    /// What the arm says it is.
+    /// The state that the arm reports.
     pub fn state(&self) -> ArmState {
         match self.stopped {
             Some(state) => state,
-            // It does not know.
+            // A creeping arm takes itself to be at rest.
             None if self.creeps() => ArmState::Ready,
             None if self.speed_mm_per_s() > 0.0 || self.joint_velocities_rad_per_s.norm() > 0.0 => {
                 ArmState::Running
@@ -396,7 +396,7 @@ impl Model {
         [position.x, position.y, position.z, roll, pitch, yaw].map(|value| value as f32)
     }
 
-    /// A change of mode or state: motion is swallowed for a while.
+    /// After a change of mode or state, motion commands are ignored for a while.
     fn settle(&mut self) {
         self.settled_at_ns = self.time_ns + SETTLING_NS;
     }
@@ -407,7 +407,7 @@ impl Model {
         self.runs_away = false;
     }
 
-    /// Stands still at once.
+    /// Stops at once.
     fn halt(&mut self, state: ArmState) {
         self.rest();
         self.flange_velocity = Vector6::zeros();
@@ -415,7 +415,7 @@ impl Model {
         self.stopped = Some(state);
     }
 
-    /// Whether it moves though it was told to rest.
+    /// Whether the flange creeps now.
     fn creeps(&self) -> bool {
         let is_told_to_rest = match self.target {
             Target::Rest => true,

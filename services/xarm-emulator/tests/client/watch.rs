@@ -74,6 +74,33 @@ fn silence_tells_how_long_the_arm_has_not_answered() {
 }
 
 #[test]
+fn a_slow_connection_is_told_and_kept() {
+    let (emulator, client) = ready();
+    wait(&client, "motion", || client.follow(ALONG_Y), is_running);
+    // Each reply comes after the time for it, and later than the one before.
+    emulator.inject(Injected::Late(Duration::from_millis(150), 20));
+    let before = client.status().timeouts;
+    let status = wait(
+        &client,
+        "timeouts",
+        || client.follow(ALONG_Y),
+        |status| status.timeouts > before + 12 && status.silence(Instant::now()) > Duration::from_millis(300),
+    );
+    assert_eq!((status.connections, status.phase), (1, Phase::Ready));
+}
+
+#[test]
+fn a_stop_that_is_not_acknowledged_is_sent_over_a_new_connection() {
+    let (emulator, client) = ready();
+    wait(&client, "motion", || client.follow(ALONG_Y), is_running);
+    // More than are sent within 2 s.
+    emulator.inject(Injected::Silent(25));
+    client.stop();
+    let status = wait(&client, "the stop", || {}, |status| status.stops_acknowledged == 1);
+    assert_eq!((status.connections, emulator.model().state()), (2, ArmState::Stopped));
+}
+
+#[test]
 fn a_stop_is_acknowledged_by_an_arm_that_answers_slowly() {
     let (emulator, client) = ready();
     wait(&client, "motion", || client.follow(ALONG_Y), is_running);

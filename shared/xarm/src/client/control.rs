@@ -1,5 +1,6 @@
 //! The thread of the control connection.
 
+use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::os::fd::AsFd;
@@ -33,7 +34,6 @@ struct Outstanding {
     transaction: u16,
     register: u8,
     purpose: Purpose,
-    sent: Instant,
     deadline: Instant,
 }
 
@@ -75,6 +75,8 @@ enum Identification {
 const KEEP_ALIVE: Duration = Duration::from_secs(1);
 /// So many velocities in a row without a reply, and the connection counts as broken.
 const MOST_TIMEOUTS: u32 = 10;
+/// How many requests without a reply are kept track of: more than a connection lasts.
+const MOST_UNANSWERED: usize = 64;
 /// At the end of the client, time for the stop of arm and gripper to be acknowledged.
 const LAST_STOP: Duration = Duration::from_millis(200);
 
@@ -90,6 +92,8 @@ pub(super) struct Control {
     request: Vec<u8>,
     identification: Identification,
     outstanding: Option<Outstanding>,
+    /// Transaction ids of requests without a reply, and when they were sent; the oldest first.
+    unanswered: VecDeque<(u16, Instant)>,
     stop: Option<Stop>,
     bring_up: Option<BringUp>,
     /// The mode in which the arm is ready.
@@ -114,6 +118,7 @@ impl Control {
             request: Vec::with_capacity(64),
             identification: Identification::Unknown,
             outstanding: None,
+            unanswered: VecDeque::with_capacity(MOST_UNANSWERED),
             stop: None,
             bring_up: None,
             ready: None,
@@ -187,6 +192,7 @@ impl Control {
     fn disconnect(&mut self) {
         self.stream = None;
         self.outstanding = None;
+        self.unanswered.clear();
         self.connect_due = Instant::now() + self.settings.reconnect_period;
         if let Some(stop) = &mut self.stop {
             stop.sent = None;
@@ -275,6 +281,10 @@ impl Control {
     fn send_stop(&mut self) -> Result<(), Broken> {
         let Some(stop) = self.stop else { return Ok(()) };
         let now = Instant::now();
+        if stop.sent.is_some_and(|sent| now >= sent.first_sent + self.settings.reply_timeout) {
+            // The next connection may carry it.
+            return Err(Broken);
+        }
         let is_due = stop.sent.is_none_or(|sent| now >= sent.last_sent + self.settings.motion_reply_timeout);
         if is_due {
             // Whatever was outstanding is of no interest any more; its reply will be a late one.
@@ -288,7 +298,7 @@ impl Control {
             });
             self.stop =
                 Some(Stop { sent: Some(SentStop { last_transaction: transaction, last_sent: now, ..sent }) });
-            self.expect_reply(now);
+            self.expect_reply(transaction, now);
         }
         Ok(())
     }
@@ -365,13 +375,15 @@ impl Control {
         let transaction = self.send(command)?;
         let sent = Instant::now();
         let register = command.register();
-        self.outstanding =
-            Some(Outstanding { transaction, register, purpose, sent, deadline: sent + timeout });
-        self.expect_reply(sent);
+        self.outstanding = Some(Outstanding { transaction, register, purpose, deadline: sent + timeout });
+        self.expect_reply(transaction, sent);
         Ok(())
     }
 
-    fn expect_reply(&self, sent: Instant) {
+    fn expect_reply(&mut self, transaction: u16, sent: Instant) {
+        if self.unanswered.len() < MOST_UNANSWERED {
+            self.unanswered.push_back((transaction, sent));
+        }
         lock(&self.shared.known).status.unanswered_since.get_or_insert(sent);
     }
 
@@ -412,10 +424,10 @@ impl Control {
     }
 
     fn take_reply(&mut self, reply: &Reply<'_>) {
+        self.was_answered(reply.transaction);
         if self.stop.is_some_and(|stop| stop.sent.is_some_and(|sent| sent.is_acknowledged_by(reply))) {
             self.stop = None;
             lock(&self.shared.known).status.stops_acknowledged += 1;
-            self.was_answered();
             return;
         }
         if let Some(gripper) = &mut self.gripper
@@ -427,13 +439,10 @@ impl Control {
         let is_expected = |outstanding: &mut Outstanding| {
             outstanding.transaction == reply.transaction && outstanding.register == reply.register
         };
-        let taken = self.outstanding.take_if(is_expected);
-        self.was_answered();
-        let Some(outstanding) = taken else {
+        let Some(outstanding) = self.outstanding.take_if(is_expected) else {
             lock(&self.shared.known).status.late_replies += 1;
             return;
         };
-        self.timeouts_in_a_row = 0;
         self.keep_alive_due = Instant::now() + KEEP_ALIVE;
         match outstanding.purpose {
             Purpose::Identity => self.take_identity(reply),
@@ -443,15 +452,14 @@ impl Control {
         }
     }
 
-    /// The arm gave a sign of life.
-    fn was_answered(&self) {
-        let waiting = [
-            self.outstanding.map(|outstanding| outstanding.sent),
-            self.stop.and_then(|stop| stop.sent).map(|sent| sent.first_sent),
-        ];
+    /// The arm answers in order, so a reply answers all requests before it. A late one is a sign of life, too.
+    fn was_answered(&mut self, transaction: u16) {
+        let Some(place) = self.unanswered.iter().position(|&(sent, _)| sent == transaction) else { return };
+        self.unanswered.drain(..=place);
+        self.timeouts_in_a_row = 0;
         let status = &mut lock(&self.shared.known).status;
         status.answered_at = Some(Instant::now());
-        status.unanswered_since = waiting.into_iter().flatten().min();
+        status.unanswered_since = self.unanswered.front().map(|&(_, sent)| sent);
     }
 
     fn take_identity(&mut self, reply: &Reply<'_>) {

@@ -5,9 +5,9 @@
 //! hold ▸ set up ▸ target ▸ read ──▶ one request at a time, beside ┴─▶ 502
 //! ```
 //!
-//! A gripper has no order to stop. While it moves, a stop asks where it is and makes that its target, so that it
-//! keeps what it holds; if it does not say within 100 ms, its motor is switched off. A gripper that stands, perhaps
-//! around an object, is left alone: a new target would change its grip.
+//! The gripper has no stop command. A stop of a moving gripper therefore reads its position and makes that its target, so
+//! that its motor holds it there; if the gripper does not answer within 100 ms, its motor is switched off. A gripper at
+//! rest, perhaps around an object, is left alone: a new target would change its grip.
 //!
 //! Requests follow the vendor's `xarm-python-sdk` 1.18.4, `x3/gripper.py`.
 
@@ -18,28 +18,28 @@ use crate::GripperRequest;
 use crate::command::register;
 use crate::reply::{Reply, ReplyError};
 
-/// Time for the answer of where the gripper is, when it must stop.
+/// Time for the reply with the position when the gripper must stop.
 const HOLD_TIMEOUT: Duration = Duration::from_millis(100);
-/// Time for any other reply: slow grippers are waited for.
+/// Time for any other reply; grippers may be slow.
 const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
-/// How often the gripper is read while it moves, and while it stands.
+/// Time between two reads while the gripper moves, and while it stands.
 const MOVING_PERIOD: Duration = Duration::from_millis(100);
 const STANDING_PERIOD: Duration = Duration::from_secs(1);
-/// Of the time, a slow gripper is asked for a quarter at most.
+/// A slow gripper is busy with reads for at most a quarter of the time: a pause of three times its reply time.
 const REST_PER_REPLY: u32 = 3;
-/// After an order the fingers may stand for so long before they move.
+/// The fingers may take this long to start moving.
 const STARTING: Duration = Duration::from_millis(300);
-/// Positions this near are the same, pulses.
+/// Positions this close count as equal, pulses.
 const SAME_PULSES: i32 = 2;
 
-/// How a gripper that moves is made to stand.
+/// Steps to stop a moving gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Hold {
-    /// Ask where it is.
+    /// Read its position.
     Ask,
-    /// Make that its target, pulses.
+    /// Make this its target, pulses.
     At(i32),
-    /// It does not say where it is: switch its motor off.
+    /// It does not answer: switch its motor off.
     Off,
 }
 
@@ -51,19 +51,19 @@ struct Outstanding {
     deadline: Instant,
 }
 
-/// What is to be asked of the gripper, and what it said.
+/// What to send to the gripper, and what it reported.
 #[derive(Debug)]
 pub(super) struct GripperLane {
     speed: u16,
     hold: Option<Hold>,
-    /// The next step of setting up; the number of steps: none.
+    /// Next step of the set-up; [`GripperLane::SET_UP_STEPS`] when done.
     set_up_step: usize,
     target_pulses: Option<i32>,
     outstanding: Option<Outstanding>,
-    /// When the order was sent since which it was not seen standing.
+    /// When the last target was sent, until the gripper has been seen standing since.
     ordered_at: Option<Instant>,
     read_due: Instant,
-    /// Whether the position is asked next, else the status.
+    /// Whether the next read is of the position, not the status.
     position_is_next: bool,
     /// Firmware of the gripper before 3.4.3 has no status; then it moves if its position changes.
     has_status: bool,
@@ -90,14 +90,14 @@ impl GripperLane {
 
     const SET_UP_STEPS: usize = 3;
 
-    /// A new connection: what was asked over the last one is not answered any more.
+    /// Starts over on a new connection.
     pub(super) fn connected(&mut self) {
         self.outstanding = None;
         self.read_due = Instant::now();
         self.read = None;
     }
 
-    /// Switches the gripper on and sets its speed; before anything else that is asked of it later.
+    /// Enables the gripper and sets its speed, ahead of later targets.
     pub(super) fn set_up(&mut self) {
         self.hold = None;
         self.target_pulses = None;
@@ -106,13 +106,13 @@ impl GripperLane {
         self.read_due = Instant::now();
     }
 
-    /// Where it is to go, pulses.
+    /// Sets the target, pulses.
     pub(super) fn move_to(&mut self, pulses: i32) {
         self.hold = None;
         self.target_pulses = Some(pulses);
     }
 
-    /// Makes it stand if it may be moving, and forgets what it was to do.
+    /// Stops it if it may be moving, and drops what was not sent.
     pub(super) fn stop(&mut self) {
         self.target_pulses = None;
         self.set_up_step = GripperLane::SET_UP_STEPS;
@@ -122,7 +122,7 @@ impl GripperLane {
         }
     }
 
-    /// Whether it is being made to stand.
+    /// Whether a stop is under way.
     pub(super) fn is_stopping(&self) -> bool {
         self.hold.is_some()
     }
@@ -181,7 +181,7 @@ impl GripperLane {
         }
     }
 
-    /// What it said last.
+    /// The newest report.
     pub(super) fn read(&self) -> Option<Gripper> {
         self.read
     }
@@ -224,7 +224,7 @@ impl GripperLane {
         }
     }
 
-    /// It moves, or it stands: not if it was only just told to move.
+    /// Takes over whether it moves. Right after a new target it may not have started yet.
     fn take_motion(&mut self, moves: bool, asked_at: Instant) {
         self.moves = moves;
         let is_over = self.ordered_at.is_some_and(|ordered_at| asked_at >= ordered_at + STARTING);

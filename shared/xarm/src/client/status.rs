@@ -6,13 +6,13 @@ use crate::identity::Identity;
 use crate::report::{Report, Setup};
 use crate::{ArmState, Fault, Mode, Source, Unsupported};
 
-/// How far the arm is.
+/// How far the client has got with the arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Phase {
     /// No connection; one is tried again and again.
     #[default]
     Disconnected,
-    /// Connected; the arm is asked who it is.
+    /// Connected; the arm is asked for its version and serial number.
     Identifying,
     /// The arm is known. It obeys no motion before [`super::Client::arm`], and never if it is
     /// [`Halt::Unsupported`].
@@ -110,7 +110,7 @@ pub struct Gripper {
 /// What is known of the arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Status {
-    /// How far the arm is.
+    /// How far the client has got with the arm.
     pub phase: Phase,
     /// Why it is not ready, once it was or should have been.
     pub halt: Option<Halt>,
@@ -126,7 +126,8 @@ pub struct Status {
     pub reported_at: Option<Instant>,
     /// When the newest reply came.
     pub answered_at: Option<Instant>,
-    /// Since when a request has been waiting for its reply; requests to the gripper do not count.
+    /// When the oldest unanswered request was sent; a reply answers all requests before it. Requests to the gripper do not
+    /// count.
     pub unanswered_since: Option<Instant>,
     /// The gripper; `None` until it answered, or without one ([`super::ClientSettings::gripper_speed`]).
     pub gripper: Option<Gripper>,
@@ -140,7 +141,7 @@ pub struct Status {
     pub command_to_wire: Duration,
     /// Stops that the arm acknowledged.
     pub stops_acknowledged: u64,
-    /// Replies that came too late.
+    /// Replies that came too late or answered no request.
     pub late_replies: u64,
     /// Requests whose reply did not come in time.
     pub timeouts: u64,
@@ -156,8 +157,8 @@ impl Status {
         self.fault.filter(|fault| fault.source == Source::Controller)
     }
 
-    /// For how long the arm has given no sign of life at `now`: the age of its newest real-time report or of the
-    /// oldest request without a reply, whichever is greater. [`Duration::MAX`] before the first report.
+    /// How long the arm has been silent at `now`: the age of its newest real-time report or of the oldest unanswered
+    /// request, whichever is greater. [`Duration::MAX`] before the first report.
     pub fn silence(&self, now: Instant) -> Duration {
         let since_report = self.reported_at.map_or(Duration::MAX, |at| now.saturating_duration_since(at));
         let without_reply =
@@ -165,14 +166,14 @@ impl Status {
         since_report.max(without_reply)
     }
 
-    /// Why the arm does not follow velocities now, once [`super::Client::arm`] was called and came to its end.
+    /// Whether the arm is ready or being brought up.
     fn is_up(&self) -> bool {
         matches!(self.phase, Phase::BringingUp | Phase::Ready)
     }
 }
 
-/// A normal report may be under way for so long: one that contradicts the mode and was not preceded by one that
-/// confirms it counts from then on.
+/// A normal report from before the bring-up may arrive this late. Until then, one that contradicts the mode counts only
+/// after another has confirmed the mode.
 const NORMAL_REPORT_DELAY: Duration = Duration::from_secs(1);
 
 /// The mode that every report must show.

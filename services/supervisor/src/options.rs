@@ -1,0 +1,198 @@
+//! The command line of `tendon run`, and the configuration that comes of it.
+//!
+//! ```text
+//! --config FILE, else ./tendon.toml, else defaults ─▶ --set KEY=VALUE ─▶ the other options ─▶ checked Config
+//! ```
+
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use tendon_config::{Config, Gestures, Pace, Realtime, Source};
+use tendon_gesture::Strategy;
+use tendon_transport::{Delivery, SessionName, own_user};
+use tendon_zones::TaskKind;
+
+/// Read where no other is named.
+const DEFAULT_FILE: &str = "tendon.toml";
+
+/// What can be said on the command line of `tendon run`; the rest is in the configuration.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Configuration; without it, ./tendon.toml if there is one, else the defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Change one key of the configuration, such as acquisition.channels=8; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    assignments: Vec<String>,
+    /// Name of the session; two at a time need two names.
+    #[arg(long)]
+    session: Option<SessionName>,
+    /// Stop after this long, such as 20s or 10m; without it, on Ctrl-C or at the recording's end.
+    #[arg(long, value_parser = humantime::parse_duration)]
+    pub duration: Option<Duration>,
+    /// Write the report as JSON.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write all histograms in hdrhistogram's interval log format.
+    #[arg(long, value_name = "FILE")]
+    pub latency_log: Option<PathBuf>,
+    /// Draw the histograms of newest sample to command and of window start to command there, as PNG and SVG.
+    #[arg(long, value_name = "FOLDER")]
+    pub figures: Option<PathBuf>,
+    /// Replay a recording: a 3DC folder or file, or a CSV file.
+    #[arg(long, value_name = "PATH")]
+    replay: Option<PathBuf>,
+    /// Sampling rate of the recording, for a CSV file.
+    #[arg(long, value_name = "HZ", requires = "replay")]
+    replay_rate_hz: Option<f64>,
+    /// Replay only this repetition of a 3DC folder.
+    #[arg(long, value_name = "N", requires = "replay")]
+    repetition: Option<u32>,
+    /// How fast to replay.
+    #[arg(long, value_enum)]
+    pace: Option<Pace>,
+    /// Gestures of the simulated person, such as "rest 6s, grip 2s".
+    #[arg(long, value_name = "STEPS", conflicts_with_all = ["replay", "random", "keyboard"])]
+    script: Option<String>,
+    /// The simulated person makes random gestures, set by --seed.
+    #[arg(long, conflicts_with_all = ["replay", "keyboard"])]
+    random: bool,
+    /// The keys say which gesture the simulated person makes.
+    #[arg(long, conflicts_with = "replay")]
+    pub keyboard: bool,
+    /// Steer the arm into zones and score how it went. With the simulated DAQ and none of --script, --random and
+    /// --keyboard, a simulated user does it.
+    #[arg(long, value_enum)]
+    pub task: Option<TaskKind>,
+    /// Seed of the simulated DAQ: the same seed gives the same samples.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// How rest and movement are told apart.
+    #[arg(long, value_enum)]
+    strategy: Option<Strategy>,
+    /// The ONNX model of the gestures.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// The ONNX model of rest and move, with --strategy two_stage.
+    #[arg(long, value_name = "FILE")]
+    rest_move_model: Option<PathBuf>,
+    /// Real-time scheduling: where the rights allow it, or else fail, or never.
+    #[arg(long, value_enum)]
+    realtime: Option<Realtime>,
+}
+
+impl Options {
+    /// The session's configuration: the file, then the command line. All paths absolute.
+    ///
+    /// # Errors
+    ///
+    /// What makes no sense, by name.
+    pub fn configuration(&self) -> anyhow::Result<Config> {
+        let mut config = read_configuration(self.config.as_deref())?;
+        for assignment in &self.assignments {
+            config = config.with(assignment)?;
+        }
+        if let Some(session) = &self.session {
+            config.session = session.clone();
+        }
+        self.set_source(&mut config)?;
+        if let Some(strategy) = self.strategy {
+            config.decision.strategy = strategy;
+        }
+        if let Some(model) = &self.model {
+            config.inference.model = Some(model.clone());
+        }
+        if let Some(model) = &self.rest_move_model {
+            config.inference.rest_move_model = Some(model.clone());
+        }
+        if let Some(realtime) = self.realtime {
+            config.scheduling.realtime = realtime;
+        }
+        if let Some(task) = self.task {
+            config.task = task.settings(config.task);
+            ensure!(
+                config.delivery() == Delivery::Live,
+                "--task is for the arm's own time: leave --pace full away"
+            );
+        }
+        make_paths_absolute(&mut config)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Where the samples come from.
+    fn set_source(&self, config: &mut Config) -> anyhow::Result<()> {
+        let acquisition = &mut config.acquisition;
+        if let Some(path) = &self.replay {
+            acquisition.source = Source::Replay;
+            acquisition.replay.path = Some(path.clone());
+        }
+        if self.replay_rate_hz.is_some() {
+            acquisition.replay.sample_rate_hz = self.replay_rate_hz;
+        }
+        if self.repetition.is_some() {
+            acquisition.replay.repetition = self.repetition;
+        }
+        if let Some(pace) = self.pace {
+            ensure!(
+                acquisition.source == Source::Replay,
+                "--pace is for recordings: name one with --replay PATH"
+            );
+            acquisition.replay.pace = pace;
+        }
+        if let Some(script) = &self.script {
+            acquisition.simulate.gestures = Gestures::Script;
+            acquisition.simulate.script = script.clone();
+        }
+        if self.random {
+            acquisition.simulate.gestures = Gestures::Random;
+        }
+        if self.keyboard || self.has_simulated_user(acquisition.source) {
+            acquisition.simulate.gestures = Gestures::Keyboard;
+        }
+        if let Some(seed) = self.seed {
+            acquisition.simulate.seed = seed;
+        }
+        Ok(())
+    }
+
+    /// Whether the simulated user does the task: nobody else says which gestures are made.
+    pub fn has_simulated_user(&self, source: Source) -> bool {
+        let by_others = self.script.is_some() || self.random || self.keyboard;
+        self.task.is_some() && source == Source::Simulate && !by_others
+    }
+}
+
+/// The configuration in this file; without one, in `tendon.toml` here if it is there, else the default.
+///
+/// # Errors
+///
+/// What is wrong with the file, by its place.
+pub fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
+    let default = Path::new(DEFAULT_FILE);
+    match file {
+        Some(file) => Ok(Config::read(file)?),
+        None if default.is_file() => {
+            // It names libraries that are loaded: somebody else's is read only when it is asked for.
+            let owner = default.metadata().context("cannot look at ./tendon.toml")?.uid();
+            ensure!(
+                owner == own_user() || owner == 0,
+                "./tendon.toml belongs to {}: if you trust it, name it with --config",
+                tendon_paths::user_name(owner)
+            );
+            Ok(Config::read(default)?)
+        }
+        None => Ok(Config::default()),
+    }
+}
+
+fn make_paths_absolute(config: &mut Config) -> anyhow::Result<()> {
+    for path in config.files_mut() {
+        *path = std::path::absolute(&path)
+            .with_context(|| format!("cannot make {} an absolute path", path.display()))?;
+    }
+    Ok(())
+}

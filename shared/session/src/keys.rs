@@ -1,0 +1,216 @@
+//! Keys and signals. Whoever hears one tells the robot first, then the supervisor's loop.
+//!
+//! ```text
+//! space, a ─────────────────────▶ RobotLine::order
+//! q, Esc, Ctrl-C ──────────────┐
+//! SIGINT, SIGTERM, SIGHUP ─────┼▶ RobotLine::end, then Event::Stop
+//! the terminal is gone ────────┘
+//! e f u r g n (with --keyboard) ▶ Event::Order to acquisition
+//! ```
+
+use std::os::fd::AsFd;
+use std::sync::mpsc::Sender;
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::termios::{OutputFlags, SetArg, Termios, cfmakeraw, tcgetattr, tcsetattr};
+use nix::unistd::{getpgrp, read, tcgetpgrp};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use tendon_gesture::Gesture;
+use tendon_messages::Stage;
+use tendon_process::Order;
+
+use crate::children::Event;
+use crate::robot_line::RobotLine;
+
+/// So long after an Esc comes the rest of what an arrow or function key sends, ms.
+const SEQUENCE_MS: u8 = 20;
+
+const ESCAPE: u8 = 0x1b;
+const CONTROL_C: u8 = 0x03;
+
+/// Why the keys cannot be heard.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyboardError {
+    /// There is no terminal.
+    #[error("keys need a terminal on standard input")]
+    NoTerminal(#[source] Errno),
+    /// The system grants no thread.
+    #[error("cannot listen to the keys")]
+    Thread(#[source] std::io::Error),
+}
+
+/// Lets SIGINT, SIGTERM and SIGHUP (the terminal was closed) end the session. A SIGHUP that is ignored, as by nohup(1),
+/// stays so.
+///
+/// # Errors
+///
+/// When the system grants no handler or thread.
+pub fn stop_on_signals(robot: &RobotLine, events: &Sender<Event>) -> std::io::Result<()> {
+    let ends =
+        [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| *signal != SIGHUP || !is_ignored(SIGHUP));
+    let mut signals = Signals::new(ends)?;
+    let (robot, events) = (robot.clone(), events.clone());
+    std::thread::Builder::new().name("signals".to_owned()).spawn(move || {
+        for _ in signals.forever() {
+            robot.end();
+            // Nobody listens any more once the session is over.
+            let _ = events.send(Event::Stop);
+        }
+    })?;
+    Ok(())
+}
+
+/// Whether this process was started with the signal ignored: proc(5).
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+/// The terminal in raw mode, keys as orders and events; as it was before when dropped.
+#[derive(Debug)]
+pub struct Keyboard {
+    before: Termios,
+}
+
+impl Keyboard {
+    /// Whether somebody can press keys: standard input is a terminal, and it is this program that it is for.
+    pub fn is_there() -> bool {
+        tcgetpgrp(std::io::stdin()).is_ok_and(|group| group == getpgrp())
+    }
+
+    /// Listens to the keys for stop, arm and quit, and to those for gestures if `with_gestures`.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyboardError`] when standard input is no terminal.
+    pub fn listen(
+        robot: &RobotLine,
+        events: &Sender<Event>,
+        with_gestures: bool,
+    ) -> Result<Keyboard, KeyboardError> {
+        let before = tcgetattr(std::io::stdin()).map_err(KeyboardError::NoTerminal)?;
+        let mut raw = before.clone();
+        cfmakeraw(&mut raw);
+        // Lines that are printed meanwhile begin at the left all the same.
+        raw.output_flags.insert(OutputFlags::OPOST);
+        tcsetattr(std::io::stdin(), SetArg::TCSANOW, &raw).map_err(KeyboardError::NoTerminal)?;
+        let keyboard = Keyboard { before };
+        let (robot, events) = (robot.clone(), events.clone());
+        std::thread::Builder::new()
+            .name("keyboard".to_owned())
+            .spawn(move || hear(&robot, &events, with_gestures))
+            .map_err(KeyboardError::Thread)?;
+        Ok(keyboard)
+    }
+}
+
+impl Drop for Keyboard {
+    fn drop(&mut self) {
+        // If it fails the user's `reset` has to do it; there is nothing else to try.
+        let _ = tcsetattr(std::io::stdin(), SetArg::TCSANOW, &self.before);
+    }
+}
+
+/// What a key means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Key {
+    Stop,
+    Arm,
+    Quit,
+    Gesture(Gesture),
+}
+
+/// The thread: obeys keys until the terminal is gone.
+fn hear(robot: &RobotLine, events: &Sender<Event>, with_gestures: bool) {
+    let mut bytes = [0; 64];
+    loop {
+        let count = match read(std::io::stdin(), &mut bytes) {
+            Err(Errno::EINTR) => continue,
+            Err(Errno::EAGAIN) => {
+                wait_for_input(PollTimeout::NONE);
+                continue;
+            }
+            // The terminal was closed, or never gives anything again: nobody could stop the arm from it.
+            Ok(0) | Err(_) => 0,
+            Ok(count) => count,
+        };
+        let sent = match meaning(&bytes[..count], with_gestures) {
+            _ if count == 0 => quit(robot, events),
+            Some(Key::Stop) => {
+                robot.order(Order::Stop);
+                true
+            }
+            Some(Key::Arm) => {
+                robot.order(Order::Arm);
+                true
+            }
+            Some(Key::Quit) => quit(robot, events),
+            Some(Key::Gesture(gesture)) => {
+                events.send(Event::Order(Stage::Acquisition, Order::Gesture(gesture))).is_ok()
+            }
+            None => true,
+        };
+        if count == 0 || !sent {
+            return;
+        }
+    }
+}
+
+fn quit(robot: &RobotLine, events: &Sender<Event>) -> bool {
+    robot.end();
+    events.send(Event::Stop).is_ok()
+}
+
+/// Waits for another byte; whether there is one.
+fn wait_for_input(timeout: PollTimeout) -> bool {
+    let input = std::io::stdin();
+    poll(&mut [PollFd::new(input.as_fd(), PollFlags::POLLIN)], timeout).is_ok_and(|count| count > 0)
+}
+
+/// What these bytes mean together: a stop among them comes before all else.
+fn meaning(bytes: &[u8], with_gestures: bool) -> Option<Key> {
+    let keys = bytes.iter().map(|byte| match *byte {
+        b' ' => Some(Key::Stop),
+        CONTROL_C | b'q' => Some(Key::Quit),
+        b'a' => Some(Key::Arm),
+        b'e' => Some(Key::Gesture(Gesture::Extension)),
+        b'f' => Some(Key::Gesture(Gesture::Flexion)),
+        b'u' => Some(Key::Gesture(Gesture::Ulnar)),
+        b'r' => Some(Key::Gesture(Gesture::Radial)),
+        b'g' => Some(Key::Gesture(Gesture::Grip)),
+        b'n' => Some(Key::Gesture(Gesture::Rest)),
+        _ => None,
+    });
+    let is_heard = |key: &Key| with_gestures || !matches!(key, Key::Gesture(_));
+    if bytes.first() == Some(&ESCAPE) {
+        // Alone it quits; an arrow key sends it before other bytes, which mean nothing here.
+        let is_alone = bytes.len() == 1 && !wait_for_input(PollTimeout::from(SEQUENCE_MS));
+        return is_alone.then_some(Key::Quit);
+    }
+    let keys: Vec<Key> = keys.flatten().filter(is_heard).collect();
+    let first_of = |wanted: Key| keys.iter().copied().find(|key| *key == wanted);
+    first_of(Key::Quit).or(first_of(Key::Stop)).or(keys.last().copied())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_mean_what_the_help_line_says_and_a_stop_comes_before_all_else() {
+        assert_eq!(meaning(b" ", false), Some(Key::Stop));
+        assert_eq!(meaning(b"a", false), Some(Key::Arm));
+        assert_eq!(meaning(b"q", false), Some(Key::Quit));
+        assert_eq!(meaning(&[CONTROL_C], false), Some(Key::Quit));
+        assert_eq!(meaning(b"x", false), None);
+        assert_eq!(meaning(b"e", false), None);
+        assert_eq!(meaning(b"e", true), Some(Key::Gesture(Gesture::Extension)));
+        assert_eq!(meaning(b"an r", true), Some(Key::Stop));
+        assert_eq!(meaning(b"aa", true), Some(Key::Arm));
+        assert_eq!(meaning(b"\x1b[A", false), None, "an arrow key");
+    }
+}

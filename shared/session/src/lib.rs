@@ -1,0 +1,27 @@
+//! A session from the supervisor's side: its stages as processes, and the people at its terminal.
+//!
+//! ```text
+//! keys, signals ──▶ RobotLine ──stop, arm, SIGTERM──▶ robot      past everything else, waits for nothing
+//!       │               ▲  alive, while the loop turns
+//!       └──Event──▶ Watch::turn ◀──Event── ready, end ── five stages     started, watched, started again, stopped
+//!                        │ say, show                     │ what they write to standard error
+//!                        ▼                               ▼
+//!                     Writer ─────────────────────▶ terminal             may wait for ever; nobody waits for it
+//! ```
+#![forbid(unsafe_code)]
+
+mod children;
+mod find;
+mod keys;
+mod progress;
+mod resources;
+mod robot_line;
+mod watch;
+mod writer;
+
+pub use children::{ChildrenError, Event};
+pub use find::{FindError, become_owner};
+pub use keys::{Keyboard, KeyboardError, stop_on_signals};
+pub use robot_line::RobotLine;
+pub use watch::{SessionFailure, Turn, Usage, Watch};
+pub use writer::{OutputError, Writer};

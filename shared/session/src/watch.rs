@@ -1,0 +1,413 @@
+//! A running session as its supervisor sees it: waits for the stages, watches them, starts them again, stops them.
+//!
+//! ```text
+//! Watch::start ─▶ wait_until_ready ─▶ turn, turn, … ─▶ stop        robot first, whatever went wrong before
+//!                                       │  ▲
+//!                stage ended: restart ──┘  └── observer, progress, heartbeat
+//! ```
+
+use std::collections::BTreeMap;
+use std::process::ExitStatus;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
+use std::time::{Duration, Instant};
+
+use tendon_config::{Backend, Config, Source};
+use tendon_gesture::Strategy;
+use tendon_messages::Stage;
+use tendon_observer::{Observer, State};
+use tendon_process::{Order, Ready};
+use tendon_transport::{Delivery, Leftovers, ReceiveError};
+
+use crate::children::{Children, ChildrenError, Event};
+use crate::progress::ProgressWatch;
+use crate::resources;
+use crate::robot_line::RobotLine;
+use crate::writer::Writer;
+
+/// Longest wait for a stage to become ready between two looks.
+const READY_TICK: Duration = Duration::from_millis(50);
+/// How long the stages may take to become ready.
+const READY_TIMEOUT: Duration = Duration::from_secs(60);
+/// The same with an arm that first goes to its start position, perhaps twice around.
+const READY_TIMEOUT_OF_ARM: Duration = Duration::from_secs(300);
+/// After this long without being ready, the user is told what is waited for.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// A stage that was started again and ends within so long of being ready would do so for ever.
+const RESTART_TRIAL: Duration = Duration::from_secs(2);
+/// So long after the end of a recording nothing of it is under way any more.
+const LAST_OF_RECORDING: Duration = Duration::from_secs(1);
+/// Time between two looks for observers that were killed: each keeps one of the eight seats of a topic.
+const DEAD_OBSERVERS_INTERVAL: Duration = Duration::from_secs(5);
+
+/// What ends a session before its time.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionFailure {
+    /// Stages took too long to start.
+    #[error("{who} not ready after {} s: TENDON_LOG=debug shows more", timeout.as_secs())]
+    NotReady {
+        /// Names of the stages.
+        who: String,
+        /// How long they had.
+        timeout: Duration,
+    },
+    /// A stage ended by itself and is not started again. It has said itself why.
+    #[error("{} ended ({status}): the session is stopped", stage.name())]
+    StageEnded {
+        /// Which stage.
+        stage: Stage,
+        /// How it ended.
+        status: ExitStatus,
+        /// Whether it did so before all were ready.
+        at_start: bool,
+    },
+    /// Stages had to be killed at the end.
+    #[error("{names} did not stop and had to be killed")]
+    Killed {
+        /// Names of the stages.
+        names: String,
+    },
+    /// A stage could not be started or reaped.
+    #[error(transparent)]
+    Children(#[from] ChildrenError),
+    /// What the stages say could not be read.
+    #[error("cannot read what the stages say")]
+    Observer(#[from] ReceiveError),
+}
+
+impl SessionFailure {
+    /// Whether a stage could not start with what it was given, such as a model that does not fit.
+    pub fn is_input(&self) -> bool {
+        match self {
+            SessionFailure::StageEnded { status, at_start, .. } => *at_start && status.code() == Some(2),
+            _ => false,
+        }
+    }
+}
+
+/// Whether a session goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turn {
+    /// It does.
+    GoesOn,
+    /// Somebody said stop, or the recording is over.
+    Over,
+}
+
+/// A stage that ended and was started again.
+#[derive(Debug)]
+struct Restart {
+    stage: Stage,
+    at: Instant,
+    ready: Option<Instant>,
+}
+
+/// What the processes of a session used, from its start to its stop: by stage, and `supervisor`.
+#[derive(Clone, Debug, Default)]
+pub struct Usage {
+    /// How long the session took.
+    pub duration: Duration,
+    /// Processor time, s.
+    pub cpu_s: BTreeMap<String, f64>,
+    /// Proportional resident memory at the end, MB.
+    pub memory_mb: BTreeMap<String, f64>,
+}
+
+/// A running session. Dropping it stops the robot and kills the rest.
+#[derive(Debug)]
+pub struct Watch<'a> {
+    config: &'a Config,
+    events: Receiver<Event>,
+    robot: RobotLine,
+    children: Children,
+    observer: Observer,
+    standard_error: Writer,
+    progress: ProgressWatch,
+    looked_for_dead: Instant,
+    /// In the order in which they happened.
+    restarts: Vec<Restart>,
+    ready: BTreeMap<Stage, Ready>,
+    /// When all stages were ready.
+    began: Option<Instant>,
+    /// Processor time before, s; less what processes that ended since have used.
+    cpu_before_s: BTreeMap<Stage, f64>,
+    own_cpu_before_s: f64,
+    /// When the recording was over.
+    finished: Option<Instant>,
+    /// Whether the robot process ended as it should, after it had stopped the arm.
+    robot_obeyed: bool,
+}
+
+impl<'a> Watch<'a> {
+    /// Starts the stages. `robot`, `sender` and `events` are those that keys and signals were given. With `arm_stays` the
+    /// robot leaves the arm where it is until it is armed.
+    ///
+    /// # Errors
+    ///
+    /// [`ChildrenError`] when one cannot be started.
+    pub fn start(
+        config: &'a Config,
+        robot: &RobotLine,
+        (sender, events): (&Sender<Event>, Receiver<Event>),
+        observer: Observer,
+        standard_error: &Writer,
+        arm_stays: bool,
+    ) -> Result<Watch<'a>, ChildrenError> {
+        let children = Children::start(config, sender, robot, standard_error, arm_stays)?;
+        Ok(Watch {
+            config,
+            events,
+            robot: robot.clone(),
+            children,
+            observer,
+            standard_error: standard_error.clone(),
+            progress: ProgressWatch::default(),
+            looked_for_dead: Instant::now(),
+            restarts: Vec::new(),
+            ready: BTreeMap::new(),
+            began: None,
+            cpu_before_s: BTreeMap::new(),
+            own_cpu_before_s: 0.0,
+            finished: None,
+            robot_obeyed: false,
+        })
+    }
+
+    /// Waits until all stages are ready, then lets the source begin; [`Turn::Over`] when told to stop before.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionFailure`] when a stage ends or takes too long.
+    pub fn wait_until_ready(&mut self) -> Result<Turn, SessionFailure> {
+        let begun = Instant::now();
+        let (timeout, on_the_way) = match self.config.robot.backend {
+            Backend::Simulate => (READY_TIMEOUT, ""),
+            Backend::XArm => (READY_TIMEOUT_OF_ARM, ": the arm goes to its start position"),
+        };
+        while self.ready.len() < Stage::ALL.len() {
+            self.robot.loop_turned();
+            match self.events.recv_timeout(READY_TICK) {
+                Ok(Event::Ready(stage, message)) => drop(self.ready.insert(stage, message)),
+                Ok(Event::Stop) => return Ok(Turn::Over),
+                Ok(Event::Ended(stage)) => return self.ended(stage, true),
+                Ok(Event::Order(stage, order)) => self.children.order(stage, order),
+                Err(_) => {}
+            }
+            let missing = Stage::ALL.into_iter().filter(|stage| !self.ready.contains_key(stage));
+            let missing: Vec<&str> = missing.map(Stage::name).collect();
+            if begun.elapsed() > timeout {
+                return Err(SessionFailure::NotReady { who: missing.join(", "), timeout });
+            }
+            if begun.elapsed() > PATIENCE {
+                let going = if missing == ["robot"] { on_the_way } else { "" };
+                self.standard_error.show(&format!("waiting for {}{going}", missing.join(", ")));
+            }
+        }
+        for (stage, process_id) in self.children.process_ids() {
+            self.cpu_before_s.extend(resources::cpu_s(process_id).map(|cpu_s| (stage, cpu_s)));
+        }
+        self.own_cpu_before_s = resources::cpu_s(std::process::id()).unwrap_or_default();
+        for stage in Stage::ALL {
+            self.children.order(stage, Order::Start);
+        }
+        self.began = Some(Instant::now());
+        Ok(Turn::GoesOn)
+    }
+
+    /// Waits for what happens next, but no longer than `longest`, and sees to it. `on_state` sees every state of the arm.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionFailure`] when the session cannot go on.
+    pub fn turn(&mut self, longest: Duration, on_state: impl FnMut(&State)) -> Result<Turn, SessionFailure> {
+        self.robot.loop_turned();
+        match self.events.recv_timeout(longest) {
+            Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(Turn::Over),
+            Ok(Event::Order(stage, order)) => self.children.order(stage, order),
+            Ok(Event::Ended(stage)) if self.robot.is_ending() => return self.ended(stage, false),
+            Ok(Event::Ended(stage)) => self.restart(stage)?,
+            Ok(Event::Ready(stage, ready)) => self.go_on(stage, ready),
+            Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
+        }
+        self.observer.gather(on_state)?;
+        self.look_at_progress();
+        if self.looked_for_dead.elapsed() > DEAD_OBSERVERS_INTERVAL {
+            self.looked_for_dead = Instant::now();
+            Leftovers::remove_of_the_dead(&self.config.session);
+        }
+        if self.observer.measurements().has_finished() {
+            self.finished.get_or_insert_with(Instant::now);
+        }
+        // What a stage missed while it was gone is never taken.
+        let is_over = !self.restarts.is_empty()
+            && self.finished.is_some_and(|finished| finished.elapsed() > LAST_OF_RECORDING);
+        Ok(if self.observer.measurements().is_drained() || is_over { Turn::Over } else { Turn::GoesOn })
+    }
+
+    /// Stops all stages, robot first, and takes what they say last. In the end none runs, whatever the error:
+    /// [`SessionFailure`] when a stage had to be killed, or its last words could not be read.
+    pub fn stop(&mut self, mut on_state: impl FnMut(&State)) -> (Usage, Result<(), SessionFailure>) {
+        let usage = self.usage();
+        let before = self.observer.gather(&mut on_state);
+        self.observer.ending();
+        let Watch { children, events, observer, .. } = self;
+        let runs = children.process_id(Stage::Robot).is_some();
+        // An observer that fails is no reason to leave a stage running.
+        let killed = children.stop(events, || drop(observer.gather(&mut on_state)));
+        let gathered = before.and(observer.gather(&mut on_state));
+        let result = match killed {
+            Err(error) => Err(error.into()),
+            Ok(killed) => {
+                self.robot_obeyed |= runs && !killed.contains(&Stage::Robot.name());
+                if killed.is_empty() {
+                    gathered.map_err(SessionFailure::from)
+                } else {
+                    Err(SessionFailure::Killed { names: killed.join(", ") })
+                }
+            }
+        };
+        (usage, result)
+    }
+
+    /// What the stages said when they were ready.
+    pub fn ready(&self) -> &BTreeMap<Stage, Ready> {
+        &self.ready
+    }
+
+    /// What the stages measure and publish.
+    pub fn observer(&self) -> &Observer {
+        &self.observer
+    }
+
+    /// Since all stages were ready; zero before.
+    pub fn elapsed(&self) -> Duration {
+        self.began.map_or(Duration::ZERO, |began| began.elapsed())
+    }
+
+    /// Whether all stages were ready once.
+    pub fn has_begun(&self) -> bool {
+        self.began.is_some()
+    }
+
+    /// How often a stage was started again.
+    pub fn restarts(&self) -> u64 {
+        self.restarts.len() as u64
+    }
+
+    /// Whether the robot process ended as it should, after it had stopped the arm.
+    pub fn robot_obeyed(&self) -> bool {
+        self.robot_obeyed
+    }
+
+    /// Gives an order to a stage.
+    pub fn order(&mut self, stage: Stage, order: Order) {
+        self.children.order(stage, order);
+    }
+
+    /// What the processes have used since all were ready.
+    fn usage(&self) -> Usage {
+        let mut usage = Usage { duration: self.elapsed(), ..Usage::default() };
+        let mut add = |name: &str, process_id: u32, before_s: f64| {
+            let cpu_s = resources::cpu_s(process_id).map(|cpu_s| (name.to_owned(), cpu_s - before_s));
+            usage.cpu_s.extend(cpu_s);
+            usage.memory_mb.extend(resources::memory_mb(process_id).map(|mb| (name.to_owned(), mb)));
+        };
+        for (stage, process_id) in self.children.process_ids() {
+            let before_s = self.cpu_before_s.get(&stage).copied().unwrap_or_default();
+            add(stage.name(), process_id, before_s);
+        }
+        add("supervisor", std::process::id(), self.own_cpu_before_s);
+        usage
+    }
+
+    /// A stage ended that is not started again: a fault, unless somebody said stop.
+    fn ended(&mut self, stage: Stage, at_start: bool) -> Result<Turn, SessionFailure> {
+        let status = self.children.reap(stage)?;
+        // A robot process that says how it ended has stopped the arm before.
+        let says = status.is_some_and(|status| matches!(status.code(), Some(0..=2)));
+        self.robot_obeyed |= stage == Stage::Robot && says;
+        match status {
+            Some(status) if !self.robot.is_ending() => {
+                if at_start {
+                    // The others are only being stopped, and must not give reasons of their own.
+                    self.children.keep_quiet();
+                }
+                Err(SessionFailure::StageEnded { stage, status, at_start })
+            }
+            _ => Ok(Turn::Over),
+        }
+    }
+
+    /// Starts a stage again that ended, in a session that goes on. The arm is stopped first, until it is armed.
+    fn restart(&mut self, stage: Stage) -> Result<(), SessionFailure> {
+        self.robot.order(Order::StageEnded);
+        let was_restarted = self.restarts.iter().rfind(|restart| restart.stage == stage);
+        let proved_itself = was_restarted
+            .is_none_or(|restart| restart.ready.is_some_and(|ready| ready.elapsed() >= RESTART_TRIAL));
+        // A replay that began anew would be another one.
+        let is_replay = self.config.acquisition.source == Source::Replay;
+        let goes_on = self.config.delivery() == Delivery::Live && !(is_replay && stage == Stage::Acquisition);
+        if !(proved_itself && goes_on) {
+            return self.ended(stage, false).map(drop);
+        }
+        let used_s = self.children.process_id(stage).and_then(resources::cpu_s);
+        let status = self.children.reap(stage)?;
+        let status = status.map_or(String::new(), |status| format!(" ({status})"));
+        let rest = match (stage, self.config.decision.strategy) {
+            (Stage::Dsp, Strategy::Threshold) => {
+                format!("{} s of rest, on which it calibrates", self.config.dsp.activity.calibration_s)
+            }
+            _ => "a rest".to_owned(),
+        };
+        self.standard_error.say(format!(
+            "tendon: {} ended{status} and is started again: the arm moves after `tendon arm` (key a) and {rest}",
+            stage.name()
+        ));
+        Leftovers::remove_of_the_dead(&self.config.session);
+        self.children.restart(stage)?;
+        self.progress.forget(stage);
+        *self.cpu_before_s.entry(stage).or_default() -= used_s.unwrap_or_default();
+        self.restarts.push(Restart { stage, at: Instant::now(), ready: None });
+        Ok(())
+    }
+
+    /// Lets a stage that was started again begin.
+    fn go_on(&mut self, stage: Stage, ready: Ready) {
+        self.children.order(stage, Order::Start);
+        self.ready.insert(stage, ready);
+        if let Some(restart) = self.restarts.iter_mut().rfind(|restart| restart.stage == stage) {
+            restart.ready = Some(Instant::now());
+        }
+    }
+
+    /// A stage that was started again must become ready in time.
+    fn look_at_restarts(&self) -> Result<(), SessionFailure> {
+        let is_late = |restart: &&Restart| restart.ready.is_none() && restart.at.elapsed() > READY_TIMEOUT;
+        match self.restarts.iter().find(is_late) {
+            None => Ok(()),
+            Some(restart) => Err(SessionFailure::NotReady {
+                who: format!("{} was started again but", restart.stage.name()),
+                timeout: READY_TIMEOUT,
+            }),
+        }
+    }
+
+    /// Says which stage takes nothing though something waits for it.
+    fn look_at_progress(&mut self) {
+        // What was lost on the way to a stage that was started again is never taken: at the end of a recording that is
+        // no fault.
+        if self.finished.is_some() && !self.restarts.is_empty() {
+            return;
+        }
+        let is_starting =
+            |stage| self.restarts.iter().any(|restart| restart.stage == stage && restart.ready.is_none());
+        for stage in Stage::ALL {
+            let Some(upstream) = stage.upstream().filter(|_| !is_starting(stage)) else { continue };
+            let measurements = self.observer.measurements();
+            let counts = measurements.counts(stage);
+            let (taken, published) = (counts.received + counts.lost, measurements.counts(upstream).published);
+            if let Some(notice) = self.progress.observe(Instant::now(), stage, taken, published) {
+                self.standard_error.say(format!("tendon: {notice}"));
+            }
+        }
+    }
+}
