@@ -20,7 +20,6 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tendon_gesture::Gesture;
 use tendon_messages::{Permission, STATES, Stage, StateHeader, StopReason};
-use tendon_paths::runtime_folder;
 use tendon_system_tests::{Ended, Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until};
 use tendon_transport::{Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber};
 use tendon_xarm_emulator::{Emulator, Fault, Listen};
@@ -37,26 +36,37 @@ const HOLD: &str = "rest 1s, ulnar 60s";
 /// To and fro, with rests.
 const TO_AND_FRO: &str = "rest 1s, ulnar 2s, rest 1s, radial 2s";
 
-/// An emulated arm of a test's own.
+/// An emulated arm of a test's own, and the lasting state of who drives it.
 struct EmulatedArm {
     emulator: Emulator,
-    /// What tells a session that the arm was not left in good order.
-    mark: PathBuf,
+    state_home: tempfile::TempDir,
 }
 
 impl EmulatedArm {
+    /// One that was left in good order.
     fn start() -> EmulatedArm {
-        let emulator = Emulator::start(Listen::anywhere()).unwrap();
-        let Listen { address, control_port, .. } = emulator.listen;
-        let mark = runtime_folder().unwrap().path().join(format!("arm-{address}-{control_port}"));
-        let arm = EmulatedArm { emulator, mark };
-        // An arm that had the same port before is another one.
-        arm.remove_mark();
+        let arm = EmulatedArm::new();
+        let folder = arm.record();
+        std::fs::create_dir_all(folder.parent().unwrap()).unwrap();
+        let joints_rad = arm.model().report().joints_rad.map(f64::from);
+        std::fs::write(folder, format!("{{\"left_in_good_order_at_joints_rad\":{joints_rad:?}}}")).unwrap();
         arm
     }
 
-    fn remove_mark(&self) {
-        let _ = std::fs::remove_file(&self.mark);
+    /// One that nobody has driven yet.
+    fn new() -> EmulatedArm {
+        EmulatedArm {
+            emulator: Emulator::start(Listen::anywhere()).unwrap(),
+            state_home: tempfile::tempdir().unwrap(),
+        }
+    }
+
+    /// The file that says that it was left in good order.
+    fn record(&self) -> PathBuf {
+        let Listen { address, control_port, .. } = self.emulator.listen;
+        let address = address.to_string().replace('.', "-");
+        let serial_number = self.model().properties().serial_number.clone();
+        self.state_home.path().join(format!("tendon/arms/{serial_number}-{address}-{control_port}.json"))
     }
 }
 
@@ -65,12 +75,6 @@ impl Deref for EmulatedArm {
 
     fn deref(&self) -> &Emulator {
         &self.emulator
-    }
-}
-
-impl Drop for EmulatedArm {
-    fn drop(&mut self) {
-        self.remove_mark();
     }
 }
 
@@ -85,9 +89,10 @@ struct Rig {
 }
 
 impl Rig {
-    fn builder(emulator: &Emulator, session: &SessionName, script: &str) -> TendonBuilder {
+    fn builder(emulator: &EmulatedArm, session: &SessionName, script: &str) -> TendonBuilder {
         let listen = emulator.listen;
         let mut builder = TendonBuilder::run_with_model(session, &model("cnn-six-class"));
+        builder = builder.env("XDG_STATE_HOME", emulator.state_home.path());
         builder = builder.args(&["--strategy", "direct", "--script", script]);
         for setting in [
             "robot.backend=\"xarm\"".to_owned(),
@@ -313,20 +318,102 @@ fn after_a_session_that_was_killed_the_arm_stays_where_it_is_until_it_is_armed()
     let pose = emulator.model().report().pose;
     let builder = Rig::builder(&emulator, &session, TO_AND_FRO);
     let mut rig = Rig::of(emulator, session, builder);
-    rig.wait_for_reason(StopReason::StageEnded);
+    rig.wait_for_reason(StopReason::NotLeftInGoodOrder);
     rig.assert_stays_at_rest(Duration::from_secs(4));
-    // One that ends in good order, but without arming, changes nothing about that.
-    let (emulator, ended) = rig.end_session();
-    assert!(ended.errors.contains("the session before was killed"), "{ended:#?}");
+    // One that ends without arming changes nothing about that.
+    let (emulator, _) = rig.end_session();
+    assert!(!emulator.record().exists());
     let mut rig = Rig::on(emulator, TO_AND_FRO);
-    rig.wait_for_reason(StopReason::StageEnded);
+    rig.wait_for_reason(StopReason::NotLeftInGoodOrder);
     rig.assert_stays_at_rest(Duration::from_secs(2));
     assert_eq!(rig.emulator.model().report().pose, pose);
     rig.order("arm");
     rig.wait_for_full_speed();
     // Free to move at the end, it goes to its start position with the next session.
     let (emulator, _) = rig.end_session();
+    assert!(emulator.record().exists());
     let rig = Rig::on(emulator, TO_AND_FRO);
+    assert!(!rig.emulator.record().exists(), "a crash must not leave it");
+    rig.wait_for_full_speed();
+    rig.end();
+}
+
+/// A session whose arm is on the way to its start position, 14 degrees away.
+fn on_the_way() -> (EmulatedArm, SessionName, Tendon) {
+    let (emulator, session) = (EmulatedArm::start(), unique_session());
+    let builder = Rig::builder(&emulator, &session, TO_AND_FRO).args(&[
+        "--set",
+        "robot.arm.start_joints_deg=[14.0, -15.0, 0.0, 45.0, 0.0, 60.0, 0.0]",
+        "--set",
+        "robot.xarm.start_speed_deg_per_s=4.0",
+    ]);
+    let tendon = builder.start();
+    wait_until("the way to the start", || (emulator.model().speed_mm_per_s() > 20.0).then_some(()));
+    (emulator, session, tendon)
+}
+
+/// After a stop on the way to the start: the arm is at rest, and a later session does not move it by itself.
+fn assert_stays_after_the_way(emulator: EmulatedArm, session: &SessionName, mut tendon: Tendon) {
+    let begun = Instant::now();
+    while emulator.model().speed_mm_per_s() > 0.0 {
+        assert!(begun.elapsed() < PATIENCE, "it goes on");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    std::thread::sleep(Duration::from_millis(500));
+    let pose = emulator.model().report().pose;
+    tendon.signal(Signal::SIGCONT);
+    tendon.signal(Signal::SIGTERM);
+    tendon.end_whatever_is_left();
+    Leftovers::remove(&SessionLock::take(session).unwrap(), session);
+    assert!(!emulator.record().exists());
+    let mut rig = Rig::on(emulator, TO_AND_FRO);
+    let state = wait_until("a reason to wait", || {
+        rig.state().filter(|state| state.permission == Permission::Stopped as u8)
+    });
+    assert!(state.stop_reason > 0);
+    rig.assert_stays_at_rest(Duration::from_secs(3));
+    assert_eq!(rig.emulator.model().report().pose, pose);
+    rig.end();
+}
+
+#[test]
+fn a_stop_on_the_way_to_the_start_lasts_over_sessions() {
+    let (emulator, session, tendon) = on_the_way();
+    let ended = TendonBuilder::command(&unique_session(), &["stop", "--session", &session.to_string()]).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    assert_stays_after_the_way(emulator, &session, tendon);
+}
+
+#[test]
+fn an_error_of_the_arm_on_the_way_to_the_start_lasts_over_sessions() {
+    let (emulator, session, tendon) = on_the_way();
+    emulator.inject(Fault::Collision);
+    assert_stays_after_the_way(emulator, &session, tendon);
+}
+
+#[test]
+fn a_supervisor_that_hangs_on_the_way_to_the_start_stops_the_arm() {
+    let (emulator, session, tendon) = on_the_way();
+    tendon.signal(Signal::SIGSTOP);
+    assert_stays_after_the_way(emulator, &session, tendon);
+}
+
+#[test]
+fn a_new_arm_waits_to_be_armed() {
+    let mut rig = Rig::on(EmulatedArm::new(), TO_AND_FRO);
+    rig.wait_for_reason(StopReason::NotLeftInGoodOrder);
+    rig.assert_stays_at_rest(Duration::from_secs(2));
+    assert!(rig.order("arm").contains("armed"));
+    rig.wait_for_full_speed();
+    rig.end();
+}
+
+#[test]
+fn an_arm_is_driven_by_one_session_and_the_second_is_refused_by_name() {
+    let rig = Rig::start(TO_AND_FRO);
+    let session = unique_session();
+    let ended = Rig::builder(&rig.emulator, &session, TO_AND_FRO).end();
+    ended.assert_failed(2, &["driven by another session", "held by process"]);
     rig.wait_for_full_speed();
     rig.end();
 }
@@ -438,8 +525,8 @@ fn an_error_of_the_arm_is_told_and_needs_arming() {
 }
 
 /// The arm goes along y by itself at this speed; what stops it, and `tendon arm` after that.
-fn run_away(along_y_mm_per_s: i16, reason: StopReason) {
-    let mut rig = Rig::start(TO_AND_FRO);
+fn run_away(script: &str, along_y_mm_per_s: i16, reason: StopReason) {
+    let mut rig = Rig::start(script);
     rig.wait_for_full_speed();
     rig.emulator.inject(Fault::Runaway(along_y_mm_per_s));
     let state = rig.wait_for_reason(reason);
@@ -453,12 +540,17 @@ fn run_away(along_y_mm_per_s: i16, reason: StopReason) {
 
 #[test]
 fn an_arm_that_is_too_fast_is_stopped() {
-    run_away(300, StopReason::OverSpeed);
+    run_away(TO_AND_FRO, 300, StopReason::OverSpeed);
 }
 
 #[test]
 fn an_arm_that_leaves_the_workspace_is_stopped_and_can_be_driven_back() {
-    run_away(-110, StopReason::WorkspaceBox);
+    run_away("rest 1s, ulnar 5s, rest 1s, radial 5s", 55, StopReason::WorkspaceBox);
+}
+
+#[test]
+fn an_arm_that_creeps_at_commanded_rest_is_stopped() {
+    run_away(TO_AND_FRO, 20, StopReason::Creeping);
 }
 
 #[test]
@@ -479,7 +571,9 @@ fn the_emergency_stop_button_needs_releasing_and_arming() {
     rig.emulator.inject(Fault::EmergencyStop);
     assert!(rig.time_to_rest() < PATIENCE);
     rig.wait_for_reason(StopReason::ArmFault);
-    rig.order("arm");
+    let session = rig.session.to_string();
+    let refused = TendonBuilder::command(&unique_session(), &["arm", "--session", &session]).end();
+    refused.assert_failed(1, &["not armed"]);
     rig.assert_stays_at_rest(Duration::from_secs(1));
     rig.emulator.inject(Fault::Release);
     rig.assert_stays_at_rest(Duration::from_secs(1));

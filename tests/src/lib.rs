@@ -292,6 +292,16 @@ impl Tendon {
         });
     }
 
+    /// Waits until standard output holds `text`.
+    pub fn wait_for_output(&mut self, text: &str) {
+        wait_until(text, || {
+            if let Some(status) = self.process.try_wait().unwrap() {
+                panic!("tendon ended early ({status}): {}", self.errors.so_far());
+            }
+            self.output.so_far().contains(text).then_some(())
+        });
+    }
+
     /// Sends a signal to `tendon` itself.
     pub fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.process.id() as i32), signal).unwrap();

@@ -1,17 +1,15 @@
-//! The robot process: commands in, motion and its state out. Which arm moves is behind the seam in [`arm`].
+//! The robot process: commands in, motion and its state out. What may move when is decided by
+//! [`tendon_control::Controller`]; this program gives it the topics, orders and the clock.
 //!
 //! ```text
-//! command ─▶ fresh? ─▶ permitted? ─▶ target twist ─┐
-//!                          ▲                       ├─▶ ramp, limits, joints ─▶ state
-//! 150 ms of silence, ──────┴──▶ rest, stop ────────┘   steps of 4 ms           250 Hz, 50 Hz while still
-//! stop orders, limits
+//! commands, orders, heartbeat, time ─▶ Controller ─▶ arm: simulated, or an xArm7 ([`xarm`])
+//!                                          └───────▶ states  250 Hz, 50 Hz while still
 //! ```
 //!
 //! Live, the arm's time is the clock. In a lossless replay it is the time of the samples, so that the arm
 //! ends where it would have ended, however fast the replay goes.
 
-mod arm;
-mod permission;
+mod record;
 mod xarm;
 
 use std::os::fd::AsFd;
@@ -20,62 +18,55 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, bail};
-use tendon_arm::{GripperCommand as ArmGripper, Guard, JointVector, LimitViolation, SimulatedArm, Twist};
-use tendon_config::Backend;
+use tendon_arm::SimulatedArm;
+use tendon_config::{Backend, Config, XArmSettings};
+use tendon_control::{Arm, ControlSettings, Controller, Departure, State, Stop, Taken};
 use tendon_gesture::Strategy;
 use tendon_messages::{
-    ArmPhase, COMMANDS, CommandHeader, Permission, STATE_LENGTH, STATES, Stage, StateHeader, StopReason,
-    TWIST_LENGTH, Trace,
+    COMMANDS, CommandHeader, STATE_LENGTH, STATES, Stage, StateHeader, StopReason, TWIST_LENGTH,
 };
-use tendon_process::{Order, STALE_NS, StageProcess, Wake};
+use tendon_paths::Claim;
+use tendon_process::{Asker, Order, STALE_NS, StageProcess, Wake};
 use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
 
-use crate::arm::{Arm, Stop};
-use crate::permission::Latch;
+use crate::record::Records;
 use crate::xarm::XArm;
 
 /// Time between two ticks in motion, ns: 250 Hz, the rate of the vendor's controller.
 const MOVING_PERIOD_NS: u64 = tendon_arm::STEP_NS;
 /// Time between two ticks while nothing moves, ns. A command ends it.
 const STILL_PERIOD_NS: u64 = 20_000_000;
-/// After so long without a word from the supervisor it is taken to hang, ns: four of its heartbeats.
-const SUPERVISOR_SILENCE_NS: u64 = 120_000_000;
+/// How long the arm may take to come to rest at the end, and for how long it must have been at rest, ns.
+const LAST_STOP_NS: u64 = 1_500_000_000;
+const AT_REST_NS: u64 = 200_000_000;
+/// Joints that turn by less than this, in rad, between two looks are at rest.
+const AT_REST_RAD: f64 = 2e-4;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Robot, |process| {
         let config = &process.config;
         let delivery = config.delivery();
         // The one place that knows which arm moves.
-        let arm: Box<dyn Arm> = match config.robot.backend {
+        let (arm, owned): (Box<dyn Arm>, _) = match config.robot.backend {
             Backend::Simulate => {
-                Box::new(SimulatedArm::new(config.robot.arm.clone(), start_of_time(delivery))?)
+                (Box::new(SimulatedArm::new(config.robot.arm.clone(), start_of_time(delivery))?), None)
             }
             Backend::XArm => {
-                let goes_to_start = !process.is_restarted;
-                Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, goes_to_start, now_ns())?)
+                let owned = Owned { records: Records::open()?, _claim: claim(&config.robot.xarm)? };
+                (Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, now_ns())?), Some(owned))
             }
         };
+        let stopped = process.is_restarted.then_some(StopReason::StageEnded);
         let never = Arc::new(AtomicBool::new(false));
-        let mut latch = Latch::new(config.decision.strategy == Strategy::Threshold);
-        if process.is_restarted {
-            latch.stop(Stop::because(StopReason::StageEnded));
-        }
         let robot = Robot {
-            arm,
-            latch,
-            guard: Guard::new(&config.robot.arm),
+            controller: Controller::new(arm, control_settings(config), stopped),
+            owned,
             states: Publisher::open(&process.session, &STATES, STATE_LENGTH, Delivery::Live, never)?,
             delivery,
             sample_rate_hz: config.acquisition.sample_rate_hz,
-            supervisor_heard_ns: None,
-            woke_ns: now_ns(),
             is_introduced: false,
-            newest_command: None,
-            gripper_toggles: None,
-            gripper_middle_pulses: 0.5
-                * (config.robot.arm.gripper_open_pulses + config.robot.arm.gripper_closed_pulses),
-            needs_calibration: config.decision.strategy == Strategy::Threshold,
-            state: StateHeader::default(),
+            has_departed: false,
+            askers: Vec::new(),
         };
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
         // Before the wait for others, so that an order to stop is heard from the beginning.
@@ -93,28 +84,52 @@ fn start_of_time(delivery: Delivery) -> u64 {
     }
 }
 
+fn control_settings(config: &Config) -> ControlSettings {
+    let has_gripper = match config.robot.backend {
+        Backend::Simulate => true,
+        Backend::XArm => config.robot.xarm.gripper,
+    };
+    ControlSettings {
+        arm: config.robot.arm.clone(),
+        has_gripper,
+        start_speed_rad_per_s: config.robot.xarm.start_speed_deg_per_s.to_radians(),
+        needs_calibration: config.decision.strategy == Strategy::Threshold,
+        increment_samples: config.dsp.windows.increment_samples as u64,
+        stale_ns: (config.delivery() == Delivery::Live).then_some(STALE_NS),
+    }
+}
+
+/// Makes this process the only one on this machine, of whatever user, that drives the arm.
+fn claim(xarm: &XArmSettings) -> anyhow::Result<Claim> {
+    let address = xarm.address.context("robot.xarm.address is missing")?;
+    let arm = std::net::SocketAddr::new(address, xarm.control_port);
+    Claim::take(&format!("tendon-arm-{arm}"), "").with_context(|| {
+        format!(
+            "the arm at {arm} is driven by another session: end that one first, or check robot.xarm.address"
+        )
+    })
+}
+
+/// An arm on the network is this process's alone, and leaves a record.
+struct Owned {
+    records: Records,
+    // Held for as long as the process lives.
+    _claim: Claim,
+}
+
 struct Robot {
-    arm: Box<dyn Arm>,
-    latch: Latch,
-    guard: Guard,
+    controller: Controller,
+    /// With an arm on the network.
+    owned: Option<Owned>,
     states: Publisher<StateHeader, f32>,
     delivery: Delivery,
     sample_rate_hz: f64,
-    /// When the supervisor was last heard; `None` without one.
-    supervisor_heard_ns: Option<u64>,
-    /// When this process last did anything.
-    woke_ns: u64,
     /// Whether the supervisor knows that the arm is ready.
     is_introduced: bool,
-    /// Sequence number of the newest command.
-    newest_command: Option<u64>,
-    /// What the newest command counted.
-    gripper_toggles: Option<u32>,
-    gripper_middle_pulses: f64,
-    /// Whether rest is known only once the activity detector is calibrated.
-    needs_calibration: bool,
-    /// Of the last command acted on.
-    state: StateHeader,
+    /// Whether the record of how the arm was left was read and removed.
+    has_departed: bool,
+    /// Who waits for what comes of an order to arm.
+    askers: Vec<Asker>,
 }
 
 impl Robot {
@@ -132,125 +147,125 @@ impl Robot {
                 Delivery::Live => Some(tick_ns),
                 Delivery::Lossless => process.measurements.deadline_ns(),
             };
-            let wake = process.control.wait(Some(commands.as_fd()), deadline_ns)?;
-            self.notice_stall();
-            match wake {
+            match process.control.wait(Some(commands.as_fd()), deadline_ns)? {
                 Wake::Stop => break Ok(()),
-                Wake::Order(order) => self.obey(process, order),
+                Wake::Order(order) => {
+                    if let Err(error) = self.obey(process, order) {
+                        break Err(error);
+                    }
+                }
                 Wake::Message => {
                     commands.acknowledge_wakes()?;
-                    let was_still = self.arm.is_still();
+                    let was_still = self.controller.is_still();
                     while let Some(command) = commands.receive()? {
                         self.take(process, &command)?;
                         process.count(&commands);
                     }
                     // A command that sets the still arm in motion goes out at once.
-                    if was_still && !self.arm.is_still() {
+                    if was_still && !self.controller.is_still() {
                         tick_ns = now_ns();
                     }
                 }
                 Wake::Deadline if self.delivery == Delivery::Live => {
-                    let now_ns = now_ns();
-                    if !self.arm.is_still() {
-                        process.measurements.record_tick(now_ns.saturating_sub(tick_ns))?;
+                    if let Err(error) = self.tick(process, tick_ns) {
+                        break Err(error);
                     }
-                    self.tick(now_ns);
-                    if let Some(took_ns) = self.arm.command_to_wire_ns() {
-                        process.measurements.record_command_to_wire(took_ns)?;
-                    }
-                    self.publish_state(process)?;
-                    process.measurements.publish_if_due()?;
-                    let period_ns = if self.arm.is_still() { STILL_PERIOD_NS } else { MOVING_PERIOD_NS };
+                    let period_ns =
+                        if self.controller.is_still() { STILL_PERIOD_NS } else { MOVING_PERIOD_NS };
                     // After a stall the ticks that were missed are not made up for.
-                    tick_ns = (tick_ns + period_ns).max(now_ns);
+                    tick_ns = (tick_ns + period_ns).max(now_ns());
                 }
                 Wake::Deadline => process.measurements.publish_if_due()?,
             }
         };
-        self.arm.stop();
+        let left = self.leave(process);
         self.publish_state(process)?;
         process.measurements.publish()?;
-        ended
+        ended.and(left)
     }
 
-    /// Tells the supervisor once that the arm is ready, or, after a restart, that it can be armed.
+    /// Tells the supervisor once that the arm is ready, or that it waits for `tendon arm`.
     ///
     /// # Errors
     ///
-    /// When it cannot become ready.
+    /// When the arm cannot be reached.
     fn introduce(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
         if self.is_introduced {
             return Ok(());
         }
-        if self.arm.is_ready() || process.is_restarted {
+        if self.controller.is_ready() || process.is_restarted || self.delivery == Delivery::Lossless {
             self.is_introduced = true;
-            return process.ready(&self.arm.description());
+            return process.ready(&self.controller.description());
         }
-        match self.latch.reason() {
+        match self.controller.failure() {
             None => Ok(()),
-            Some(stop) => bail!("{} did not get ready: {}", self.arm.description(), words(stop)),
+            Some(stop) => bail!("{} did not get ready: {}", self.controller.description(), self.words(stop)),
         }
     }
 
-    /// A process that stood still while its arm moved must not go on where it was: the arm has come to rest.
-    fn notice_stall(&mut self) {
+    /// One step of the arm's time.
+    fn tick(&mut self, process: &mut StageProcess, due_ns: u64) -> anyhow::Result<()> {
         let now_ns = now_ns();
-        let is_live = self.delivery == Delivery::Live;
-        if is_live && now_ns.saturating_sub(self.woke_ns) > STALE_NS && !self.arm.is_still() {
-            self.arm.stalled();
-            self.latch.interrupt(StopReason::RobotStalled);
+        if !self.controller.is_still() {
+            process.measurements.record_tick(now_ns.saturating_sub(due_ns))?;
         }
-        self.woke_ns = now_ns;
+        self.controller.tick(now_ns);
+        if self.controller.wants_departure(now_ns) {
+            let departure = self.take_record()?;
+            self.controller.depart(departure, now_ns);
+        }
+        self.answer(process);
+        if let Some(took_ns) = self.controller.command_to_wire_ns() {
+            process.measurements.record_command_to_wire(took_ns)?;
+        }
+        self.publish_state(process)?;
+        process.measurements.publish_if_due()
     }
 
-    fn obey(&mut self, process: &mut StageProcess, order: Order) {
+    /// Reads and removes the record of how the arm was left, before anything moves.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be removed.
+    fn take_record(&mut self) -> anyhow::Result<Departure> {
+        self.has_departed = true;
+        match &self.owned {
+            Some(owned) => owned.records.take(&self.controller.key()),
+            None => Ok(Departure::NoRecord),
+        }
+    }
+
+    fn obey(&mut self, process: &mut StageProcess, order: Order) -> anyhow::Result<()> {
         match order {
-            Order::Alive => self.supervisor_heard_ns = Some(now_ns()),
+            Order::Alive => self.controller.hear_supervisor(now_ns()),
             Order::Stop => {
-                self.stop(Stop::because(StopReason::Ordered));
-                process.control.answer("the arm is stopped: `tendon arm` permits motion again");
+                self.controller.order_stop();
+                if let Some(asker) = process.control.take_asker() {
+                    let text = "the arm is stopped: `tendon arm` permits motion again";
+                    process.control.answer(&asker, text);
+                }
             }
             Order::Arm => {
-                if self.latch.permission() == Permission::Stopped {
-                    self.arm.rearm(now_ns());
-                    self.guard.reset();
-                    self.latch.arm();
+                if !self.has_departed {
+                    self.take_record()?;
                 }
-                process.control.answer("armed: the arm moves again once the muscles have been at rest");
+                self.askers.extend(process.control.take_asker());
+                self.controller.order_arm(now_ns());
             }
-            Order::StageEnded => {
-                // A decision process that is started again is no surprise then.
-                self.newest_command = None;
-                self.stop(Stop::because(StopReason::StageEnded));
-            }
+            Order::StageEnded => self.controller.stage_ended(),
             Order::Start | Order::Gesture(_) => {}
         }
+        self.answer(process);
+        Ok(())
     }
 
-    fn stop(&mut self, stop: Stop) {
-        self.arm.stop();
-        self.latch.stop(stop);
-    }
-
-    /// Lets the arm move, and looks after it.
-    fn tick(&mut self, now_ns: u64) {
-        if let Err(stop) = self.arm.tick(now_ns) {
-            self.stop(stop);
-        }
-        let state = self.arm.state();
-        if self.arm.is_ready() && self.latch.permission() != Permission::Stopped {
-            let joints_rad = JointVector::from(state.joints_rad);
-            if let Err(violation) = self.guard.check(now_ns, &joints_rad, state.position_mm) {
-                self.stop(Stop::because(reason_of(violation)));
+    /// Tells those who ordered to arm what came of it, once that is known.
+    fn answer(&mut self, process: &mut StageProcess) {
+        if let Some(answer) = self.controller.take_answer() {
+            let text = answer.text(|stop| self.words(stop));
+            for asker in self.askers.drain(..) {
+                process.control.answer(&asker, &text);
             }
-        }
-        if state.halted_by_watchdog {
-            self.latch.interrupt(StopReason::NoCommands);
-        }
-        let is_silent = |heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS;
-        if self.supervisor_heard_ns.is_some_and(is_silent) && self.latch.permission() == Permission::Granted {
-            self.arm.rest();
-            self.latch.interrupt(StopReason::SupervisorSilent);
         }
     }
 
@@ -260,101 +275,67 @@ impl Robot {
         command: &Received<CommandHeader, f32>,
     ) -> anyhow::Result<()> {
         let trace = command.trace();
-        let header = command.header();
-        let newest_command = self.newest_command.replace(trace.sequence);
-        if newest_command.is_some_and(|newest| trace.sequence <= newest) {
-            // From a decision process that began anew, whoever started it.
-            self.stop(Stop::because(StopReason::StageEnded));
-        }
-        if process.is_stale(&trace) {
-            process.measurements.counts.stale += 1;
-        } else {
-            let now_ns = match self.delivery {
-                Delivery::Live => now_ns(),
-                Delivery::Lossless => {
-                    let sample = header.context.first_sample as f64;
-                    (sample * 1e9 / self.sample_rate_hz) as u64
-                }
-            };
-            self.tick(now_ns);
-            let toggles = self.gripper_toggles.replace(header.gripper_toggles);
-            if self.arm.is_ready() && self.latch.admits(header) {
-                let is_toggled = toggles.is_some_and(|toggles| toggles != header.gripper_toggles);
-                self.follow(command.payload(), is_toggled, now_ns)?;
+        let header = CommandHeader { trace, ..*command.header() };
+        let length = command.payload().len();
+        let twist: &[f32; TWIST_LENGTH] =
+            command.payload().try_into().with_context(|| format!("a command of {length} components"))?;
+        let now_ns = match self.delivery {
+            Delivery::Live => now_ns(),
+            Delivery::Lossless => {
+                let sample = header.context.first_sample as f64;
+                (sample * 1e9 / self.sample_rate_hz) as u64
             }
-            self.state = StateHeader {
-                trace,
-                gesture: header.voted,
-                confidence: header.confidence,
-                calibration_left_ms: if self.needs_calibration {
-                    header.context.calibration_left_ms
-                } else {
-                    0
-                },
-                ..self.state
-            };
-            if self.delivery == Delivery::Lossless {
-                self.publish_state(process)?;
-            }
+        };
+        match self.controller.take(&header, twist, now_ns) {
+            Taken::Stale => process.measurements.counts.stale += 1,
+            Taken::Fresh if self.delivery == Delivery::Lossless => self.publish_state(process)?,
+            Taken::Fresh => {}
         }
         let measurement = process.measure(&trace, None);
         process.measurements.record(measurement)
     }
 
-    fn follow(&mut self, twist: &[f32], toggles_gripper: bool, now_ns: u64) -> anyhow::Result<()> {
-        let length = twist.len();
-        let twist: &[f32; TWIST_LENGTH] =
-            twist.try_into().with_context(|| format!("a command of {length} components"))?;
-        let [x, y, z, about_x, about_y, about_z] = twist.map(f64::from);
-        let twist = Twist { linear_mm_per_s: [x, y, z], angular_rad_per_s: [about_x, about_y, about_z] };
-        if let Err(error) = self.arm.command(twist, now_ns) {
-            tracing::error!("a command was refused and the arm stopped: {error}");
+    /// Stops the arm, and leaves a record if everything is in good order and the arm is at rest.
+    fn leave(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
+        // A supervisor that is gone was killed, or crashed.
+        let is_in_good_order = self.controller.is_in_good_order() && !process.control.is_abandoned();
+        self.controller.end();
+        let Some(owned) = &self.owned else { return Ok(()) };
+        if !is_in_good_order {
+            return Ok(());
         }
-        if toggles_gripper {
-            let is_open = self.arm.state().gripper_position_pulses > self.gripper_middle_pulses;
-            let command = if is_open { ArmGripper::Close } else { ArmGripper::Open };
-            self.arm.command_gripper(command, now_ns);
+        let begun_ns = now_ns();
+        let mut rest: Option<(u64, tendon_arm::JointVector)> = None;
+        while now_ns().saturating_sub(begun_ns) < LAST_STOP_NS {
+            std::thread::sleep(std::time::Duration::from_nanos(STILL_PERIOD_NS));
+            let now_ns = now_ns();
+            let Some(joints_rad) = self.controller.at_the_end(now_ns) else { return Ok(()) };
+            match rest {
+                Some((since_ns, at_rad)) if (joints_rad - at_rad).amax() <= AT_REST_RAD => {
+                    if now_ns.saturating_sub(since_ns) >= AT_REST_NS {
+                        return owned.records.leave(&self.controller.key(), &joints_rad);
+                    }
+                }
+                _ => rest = Some((now_ns, joints_rad)),
+            }
         }
         Ok(())
+    }
+
+    /// Why the arm stopped, and what to do.
+    fn words(&self, stop: Stop) -> String {
+        if let Some(fault) = tendon_xarm::Fault::new(tendon_xarm::Source::Controller, stop.fault_code) {
+            return fault.to_string();
+        }
+        use StopReason::{NotReady, TakenOver, UnsupportedArm, VelocityRefused};
+        let is_the_arms = matches!(stop.reason, NotReady | TakenOver | UnsupportedArm | VelocityRefused);
+        self.controller.explanation().filter(|_| is_the_arms).unwrap_or_else(|| stop.reason.to_string())
     }
 
     fn publish_state(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
-        let state = self.arm.state();
-        let stop = self.latch.reason();
-        let header = StateHeader {
-            trace: Trace { sequence: 0, ..self.state.trace },
-            speed_mm_per_s: state.linear_speed_mm_per_s as f32,
-            gripper_position: state.gripper_position_pulses as f32,
-            permission: self.latch.permission() as u8,
-            stop_reason: stop.map_or(0, |stop| stop.reason as u8),
-            fault_code: stop.map_or(0, |stop| stop.fault_code),
-            arm_phase: if self.arm.is_ready() { ArmPhase::Following } else { ArmPhase::BringingUp } as u8,
-            ..self.state
-        };
-        self.states.publish(header, STATE_LENGTH, |payload| {
-            let components =
-                state.joints_rad.iter().chain(&state.position_mm).chain(&state.orientation_rpy_rad);
-            for (component, value) in payload.iter_mut().zip(components) {
-                *component = *value as f32;
-            }
-        })?;
+        let State { header, payload } = self.controller.state();
+        self.states.publish(header, STATE_LENGTH, |components| components.copy_from_slice(&payload))?;
         process.measurements.counts.published = self.states.published();
         Ok(())
-    }
-}
-
-fn reason_of(violation: LimitViolation) -> StopReason {
-    match violation {
-        LimitViolation::JointLimit { .. } => StopReason::JointLimit,
-        LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
-        LimitViolation::OverSpeed { .. } => StopReason::OverSpeed,
-    }
-}
-
-/// Why the arm stopped, and what to do.
-fn words(stop: Stop) -> String {
-    match tendon_xarm::Fault::new(tendon_xarm::Source::Controller, stop.fault_code) {
-        Some(fault) => fault.to_string(),
-        None => stop.reason.to_string(),
     }
 }

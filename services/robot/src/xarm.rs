@@ -1,11 +1,5 @@
 //! An xArm7 on the network, driven by [`tendon_xarm::Client`].
 //!
-//! ```text
-//! connect ─▶ bring up for joints ─▶ go slowly to the start position ─▶ bring up for the flange ─▶ follow
-//!                                                                              ▲                    │
-//!    └─▶ stopped, if the arm was not left in good order before          rearm  └──── stopped ◀──────┘
-//! ```
-//!
 //! While it follows, every tick sends the velocity that [`Motion`] allows in the joint angles that the arm reports. A
 //! command is answered at once, by the part of the coming step that has passed: velocities lie on one ramp, whenever
 //! they are sent.
@@ -17,86 +11,50 @@
 //! ```
 //!
 //! Each velocity lasts for [`VELOCITY_DURATION`] only, so the arm comes to rest by itself when this process or the
-//! cable is gone.
+//! cable is gone. Where the flange is, our own kinematics say: the arm's position is that of its tool.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use tendon_arm::{
-    ArmSettings, ArmState, GripperCommand, JointVector, Motion, NonFiniteTwist, STEP_NS, Twist,
-};
+use tendon_arm::{ArmSettings, JointLimits, JointVector, Motion, NonFiniteTwist, STEP_NS, Twist, XArm7};
 use tendon_config::XArmSettings;
+use tendon_control::{Arm, ArmReport, Drive, Link, Stop};
 use tendon_messages::StopReason;
 use tendon_transport::now_ns;
-use tendon_xarm::{Client, ClientSettings, Fault, Halt, Mode, Status, Velocity};
-
-use crate::arm::{Arm, Stop};
+use tendon_xarm::{Client, ClientSettings, Halt, Mode, Phase, Status, Velocity};
 
 /// How long a velocity lasts without a newer one: two increments of the paper's windows.
 const VELOCITY_DURATION: Duration = Duration::from_millis(150);
-/// Real-time reports come every 10 ms; after so long without one the arm's whereabouts are not known any more.
-const REPORT_TIMEOUT: Duration = Duration::from_millis(250);
 /// Zero velocities sent at the end of a motion, a tick each: more than the network may swallow.
 const LAST_ZEROS: u32 = 25;
-/// Joints this near to the start position, rad, are there.
-const ARRIVED_RAD: f64 = 0.002;
-/// On the way to the start position: acceleration in rad/s², and the speed near the end in 1/s of the distance left.
-const START_ACCELERATION_RAD_PER_S2: f64 = 0.5;
-const START_APPROACH_PER_S: f64 = 2.0;
-/// How long the client may take to connect, ns.
-const CONNECT_TIMEOUT_NS: u64 = 10_000_000_000;
-/// The client takes an order a moment later: what it says until then, ns, is about before.
-const ORDER_TAKEN_NS: u64 = 50_000_000;
 /// Time over which the flange's speed is measured, ns: two reports are too near for their jitter.
 const SPEED_INTERVAL_NS: u64 = 40_000_000;
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Phase {
-    Connecting,
-    EnablingJoints,
-    /// At this joint speed, rad/s.
-    GoingToStart(f64),
-    EnablingFlange,
-    Following,
-    Stopped,
-}
 
 /// An xArm7 on the network.
 pub struct XArm {
     client: Client,
     control: SocketAddr,
+    has_gripper: bool,
+    kinematics: XArm7,
     motion: Motion,
-    phase: Phase,
-    goes_to_start: bool,
-    start_joints_rad: JointVector,
-    start_speed_rad_per_s: f64,
-    gripper_open_pulses: f64,
-    gripper_closed_pulses: f64,
-    connecting_since_ns: Option<u64>,
-    /// End of the last step, or when the next may begin.
+    /// What it was last brought up for.
+    drive: Drive,
+    /// End of the last step.
     stepped_ns: u64,
     zeros_sent: u32,
     /// Commands whose time to the network was told.
     commands_told: u64,
-    /// Whether the error that stopped the arm was told.
-    is_explained: bool,
-    /// Where the flange was, and when; for its speed.
-    position_before_mm: [f64; 3],
-    position_before_ns: u64,
+    /// Where the flange was (mm), and when; for its speed.
+    position_before: Option<(u64, [f64; 3])>,
     speed_mm_per_s: f64,
+    is_introduced: bool,
     status: Status,
 }
 
 impl XArm {
-    /// Begins to connect, at the time `now_ns`. Without `goes_to_start` the arm is stopped where it is, until
-    /// [`Arm::rearm`].
-    pub fn connect(
-        xarm: &XArmSettings,
-        arm: &ArmSettings,
-        goes_to_start: bool,
-        now_ns: u64,
-    ) -> anyhow::Result<XArm> {
+    /// Begins to connect, at the time `now_ns`.
+    pub fn connect(xarm: &XArmSettings, arm: &ArmSettings, now_ns: u64) -> anyhow::Result<XArm> {
         let address = xarm.address.context("robot.xarm.address is missing")?;
         let settings = ClientSettings {
             control: SocketAddr::new(address, xarm.control_port),
@@ -109,21 +67,16 @@ impl XArm {
         Ok(XArm {
             control: settings.control,
             client: Client::start(settings)?,
+            has_gripper: xarm.gripper,
+            kinematics: XArm7::new(),
             motion: Motion::new(arm),
-            phase: Phase::Connecting,
-            goes_to_start,
-            start_joints_rad: arm.start_joints_rad(),
-            start_speed_rad_per_s: xarm.start_speed_deg_per_s.to_radians(),
-            gripper_open_pulses: arm.gripper_open_pulses,
-            gripper_closed_pulses: arm.gripper_closed_pulses,
-            connecting_since_ns: None,
+            drive: Drive::Flange,
             stepped_ns: now_ns,
             zeros_sent: LAST_ZEROS,
             commands_told: 0,
-            is_explained: false,
-            position_before_mm: [0.0; 3],
-            position_before_ns: 0,
+            position_before: None,
             speed_mm_per_s: 0.0,
+            is_introduced: false,
             status: Status::default(),
         })
     }
@@ -132,66 +85,51 @@ impl XArm {
         self.status.report.map(|report| JointVector::from(report.joints_rad.map(f64::from)))
     }
 
-    fn position_mm(&self) -> Option<[f64; 3]> {
-        let [x, y, z, ..] = self.status.report?.pose.map(f64::from);
-        Some([x, y, z])
+    fn is_following(&self) -> bool {
+        self.status.phase == Phase::Ready && self.drive == Drive::Flange
+    }
+
+    /// Whether it is known who the arm is, where it is, and whether it has an error.
+    fn is_known(&self) -> bool {
+        self.status.identity.is_some() && self.status.report.is_some() && self.status.setup.is_some()
+    }
+
+    /// Takes over what is known once of an arm, and warns of settings that leave a person unprotected.
+    fn introduce(&mut self) {
+        if self.is_introduced || !self.is_known() {
+            return;
+        }
+        self.is_introduced = true;
+        self.motion.set_joint_limits(self.joint_limits());
+        if let Some(setup) = self.status.setup {
+            if setup.collision_sensitivity == 0 {
+                tracing::warn!(
+                    "the arm's collision detection is off (sensitivity 0): set 1 to 5 with the vendor's software"
+                );
+            }
+            if self.has_gripper && setup.load_kg == 0.0 {
+                tracing::warn!(
+                    "the arm does not know of its gripper's weight (load 0 kg): set it with the vendor's software, \
+                     else collisions are recognised late"
+                );
+            }
+        }
     }
 
     fn measure_speed(&mut self, now_ns: u64) {
-        let elapsed_ns = now_ns.saturating_sub(self.position_before_ns);
-        if let Some(position_mm) = self.position_mm().filter(|_| elapsed_ns >= SPEED_INTERVAL_NS) {
-            let moved_mm = (0..3).map(|axis| position_mm[axis] - self.position_before_mm[axis]);
-            let distance_mm = moved_mm.map(|way| way * way).sum::<f64>().sqrt();
-            if self.position_before_ns > 0 {
-                self.speed_mm_per_s = distance_mm / (elapsed_ns as f64 * 1e-9);
-            }
-            self.position_before_mm = position_mm;
-            self.position_before_ns = now_ns;
-        }
-    }
-
-    /// What the client says of the arm as long as it is to move.
-    fn look_after(&self) -> Result<(), Stop> {
-        if self.status.phase == tendon_xarm::Phase::Disconnected {
-            return Err(Stop::because(StopReason::ConnectionBroke));
-        }
-        if let Some(halt) = self.status.halt {
-            // An error says more than that the arm is not ready.
-            return Err(self.status.error().map_or(stop_of(halt), stop_for));
-        }
-        let is_fresh = self.status.reported_at.is_some_and(|at| at.elapsed() < REPORT_TIMEOUT);
-        if is_fresh { Ok(()) } else { Err(Stop::because(StopReason::ConnectionBroke)) }
-    }
-
-    fn bring_up(&mut self, mode: Mode, phase: Phase, now_ns: u64) {
-        self.client.arm(mode);
-        self.phase = phase;
-        self.stepped_ns = now_ns + ORDER_TAKEN_NS;
-    }
-
-    /// That the arm stopped is known before its error is, which says why.
-    fn say_more(&mut self) -> Result<(), Stop> {
-        match self.status.error() {
-            Some(fault) if !self.is_explained => {
-                self.is_explained = true;
-                Err(stop_for(fault))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    fn go_to_start(&mut self, joints_rad: &JointVector, speed_rad_per_s: f64, now_ns: u64) {
-        let way = self.start_joints_rad - joints_rad;
-        let distance = way.amax();
-        if distance < ARRIVED_RAD {
-            self.bring_up(Mode::CartesianVelocity, Phase::EnablingFlange, now_ns);
+        let Some(joints_rad) = self.joints_rad() else { return };
+        let (before_ns, before_mm) = self.position_before.unwrap_or_default();
+        let elapsed_ns = now_ns.saturating_sub(before_ns);
+        if elapsed_ns < SPEED_INTERVAL_NS {
             return;
         }
-        let gained = speed_rad_per_s + START_ACCELERATION_RAD_PER_S2 * STEP_NS as f64 * 1e-9;
-        let speed = gained.min(self.start_speed_rad_per_s).min(START_APPROACH_PER_S * distance);
-        let velocities = way * (speed / distance);
-        self.client.follow(Velocity::Joints(<[f64; 7]>::from(velocities).map(|velocity| velocity as f32)));
-        self.phase = Phase::GoingToStart(speed);
+        let position_mm: [f64; 3] =
+            (self.kinematics.flange_pose_m(&joints_rad).translation.vector * 1e3).into();
+        if self.position_before.is_some() {
+            let way_mm = (0..3).map(|axis| (position_mm[axis] - before_mm[axis]).powi(2)).sum::<f64>().sqrt();
+            self.speed_mm_per_s = way_mm / (elapsed_ns as f64 * 1e-9);
+        }
+        self.position_before = Some((now_ns, position_mm));
     }
 
     fn follow(&mut self, joints_rad: &JointVector, steps: u64) {
@@ -219,6 +157,16 @@ impl XArm {
         let since = Duration::from_nanos(now_ns().saturating_sub(received_ns));
         self.client.follow_command(of_flange(twist), Instant::now() - since);
     }
+
+    fn link(&self) -> Link {
+        match self.status.phase {
+            Phase::Disconnected | Phase::Identifying => Link::Connecting,
+            Phase::Connected if !self.is_known() => Link::Connecting,
+            Phase::Connected => Link::Connected,
+            Phase::BringingUp => Link::BringingUp,
+            Phase::Ready => Link::Up(self.drive),
+        }
+    }
 }
 
 fn of_flange(twist: Twist) -> Velocity {
@@ -229,63 +177,100 @@ fn of_flange(twist: Twist) -> Velocity {
 
 impl Arm for XArm {
     fn description(&self) -> String {
-        format!("xArm7 at {}", self.control)
+        let Some(identity) = self.status.identity else { return format!("xArm7 at {}", self.control) };
+        let setup = self.status.setup.map_or(String::new(), |setup| {
+            let [x, y, z, ..] = setup.tcp_offset;
+            format!(
+                ", tool {x:.0} {y:.0} {z:.0} mm, load {:.2} kg, collision sensitivity {}",
+                setup.load_kg, setup.collision_sensitivity
+            )
+        });
+        format!(
+            "xArm7 at {}, {}, firmware {}{setup}",
+            self.control, identity.serial_number, identity.firmware
+        )
     }
 
-    fn is_ready(&self) -> bool {
-        self.phase == Phase::Following
+    fn key(&self) -> String {
+        match self.status.identity {
+            Some(identity) if !identity.serial_number.as_str().is_empty() => {
+                format!("{}-{}", identity.serial_number, self.control)
+            }
+            _ => self.control.to_string(),
+        }
     }
 
-    fn tick(&mut self, now_ns: u64) -> Result<(), Stop> {
+    fn explanation(&self) -> Option<String> {
+        self.status.halt.map(|halt| halt.to_string())
+    }
+
+    fn joint_limits(&self) -> JointLimits {
+        self.status.identity.map_or_else(JointLimits::default, |identity| {
+            let limits = identity.joint_limits();
+            JointLimits { lower_rad: limits.lower_rad.into(), upper_rad: limits.upper_rad.into() }
+        })
+    }
+
+    fn tick(&mut self, now_ns: u64) {
         let steps = now_ns.saturating_sub(self.stepped_ns) / STEP_NS;
         if steps == 0 {
-            return Ok(());
+            return;
         }
         // A late tick does not shift those after it: ramps and stops take their time and no longer.
         self.stepped_ns += steps * STEP_NS;
         self.status = self.client.status();
+        self.introduce();
         self.measure_speed(now_ns);
-        let is_up = self.status.phase == tendon_xarm::Phase::Ready;
-        match self.phase {
-            Phase::Stopped => return self.say_more(),
-            Phase::Connecting => {
-                if self.status.phase == tendon_xarm::Phase::Connected && self.status.report.is_some() {
-                    if self.goes_to_start {
-                        self.bring_up(Mode::JointVelocity, Phase::EnablingJoints, now_ns);
-                    } else {
-                        self.stop();
-                    }
-                    return Ok(());
-                }
-                let since_ns = *self.connecting_since_ns.get_or_insert(now_ns);
-                let is_late = now_ns - since_ns > CONNECT_TIMEOUT_NS;
-                return if is_late { Err(Stop::because(StopReason::ConnectionBroke)) } else { Ok(()) };
-            }
-            _ => {}
-        }
-        let looked_after = self.look_after();
-        if looked_after.is_err() {
-            self.phase = Phase::Stopped;
-            self.is_explained = self.status.error().is_some();
+        if self.status.halt.is_some() {
             self.motion.halt();
         }
-        looked_after?;
-        let Some(joints_rad) = self.joints_rad() else { return Ok(()) };
-        match self.phase {
-            Phase::EnablingJoints if is_up => self.phase = Phase::GoingToStart(0.0),
-            Phase::GoingToStart(speed_rad_per_s) => {
-                self.go_to_start(&joints_rad, speed_rad_per_s, now_ns);
-            }
-            Phase::EnablingFlange if is_up => self.phase = Phase::Following,
-            Phase::Following => self.follow(&joints_rad, steps),
-            _ => {}
+        if let Some(joints_rad) = self.joints_rad().filter(|_| self.is_following()) {
+            self.follow(&joints_rad, steps);
         }
-        Ok(())
+    }
+
+    fn report(&self) -> ArmReport {
+        let silence = self.status.silence(Instant::now());
+        let gripper = self.status.gripper.filter(|_| self.has_gripper);
+        ArmReport {
+            link: self.link(),
+            stop: self.status.halt.map(stop_of),
+            error_code: self.status.error().map(|fault| fault.code),
+            joints_rad: self.joints_rad(),
+            silent_ns: u64::try_from(silence.as_nanos()).unwrap_or(u64::MAX),
+            speed_mm_per_s: self.speed_mm_per_s,
+            gripper_pulses: gripper.map(|gripper| f64::from(gripper.position_pulses)),
+            is_commanded_to_rest: self.motion.is_commanded_to_rest(),
+            halted_by_watchdog: self.motion.halted_by_watchdog(),
+            obstacle: self.motion.obstacle(),
+        }
+    }
+
+    fn bring_up(&mut self, drive: Drive, acknowledges_error: bool, now_ns: u64) {
+        let mode = match drive {
+            Drive::Joints => Mode::JointVelocity,
+            Drive::Flange => Mode::CartesianVelocity,
+        };
+        self.motion.halt();
+        self.zeros_sent = LAST_ZEROS;
+        self.drive = drive;
+        self.stepped_ns = now_ns;
+        if acknowledges_error {
+            self.client.arm(mode);
+        } else {
+            self.client.bring_up_unless_fault(mode);
+        }
+        self.status = self.client.status();
+    }
+
+    fn follow_joints(&mut self, velocities_rad_per_s: &JointVector) {
+        let velocities = <[f64; 7]>::from(*velocities_rad_per_s).map(|velocity| velocity as f32);
+        self.client.follow(Velocity::Joints(velocities));
     }
 
     fn command(&mut self, twist: Twist, now_ns: u64) -> Result<(), NonFiniteTwist> {
         let outcome = self.motion.command(twist, now_ns);
-        if let Some(joints_rad) = self.joints_rad().filter(|_| self.phase == Phase::Following) {
+        if let Some(joints_rad) = self.joints_rad().filter(|_| self.is_following()) {
             self.answer(now_ns, &joints_rad);
         }
         outcome
@@ -296,11 +281,7 @@ impl Arm for XArm {
         (self.status.commands_answered > told).then_some(self.status.command_to_wire.as_nanos() as u64)
     }
 
-    fn command_gripper(&mut self, command: GripperCommand, _now_ns: u64) {
-        let pulses = match command {
-            GripperCommand::Open => self.gripper_open_pulses,
-            GripperCommand::Close => self.gripper_closed_pulses,
-        };
+    fn move_gripper(&mut self, pulses: f64, _now_ns: u64) {
         self.client.move_gripper(pulses.round() as i32);
     }
 
@@ -311,57 +292,29 @@ impl Arm for XArm {
     fn stop(&mut self) {
         self.client.stop();
         self.motion.halt();
-        self.phase = Phase::Stopped;
+        self.status = self.client.status();
     }
 
     fn stalled(&mut self) {
         self.motion.halt();
     }
 
-    fn rearm(&mut self, now_ns: u64) {
-        self.motion.halt();
-        self.is_explained = false;
-        self.bring_up(Mode::CartesianVelocity, Phase::EnablingFlange, now_ns);
-    }
-
     fn is_still(&self) -> bool {
-        matches!(self.phase, Phase::Following | Phase::Stopped)
-            && self.motion.is_still()
-            && self.zeros_sent >= LAST_ZEROS
+        let is_moving_up = self.status.phase == Phase::BringingUp
+            || (self.status.phase == Phase::Ready && self.drive == Drive::Joints);
+        !is_moving_up && self.motion.is_still() && self.zeros_sent >= LAST_ZEROS
     }
-
-    fn state(&self) -> ArmState {
-        let Some(report) = self.status.report else { return ArmState::default() };
-        let [x, y, z, roll, pitch, yaw] = report.pose.map(f64::from);
-        ArmState {
-            joints_rad: report.joints_rad.map(f64::from),
-            position_mm: [x, y, z],
-            orientation_rpy_rad: [roll, pitch, yaw],
-            linear_speed_mm_per_s: self.speed_mm_per_s,
-            gripper_position_pulses: self
-                .status
-                .gripper
-                .map_or(self.gripper_open_pulses, |gripper| f64::from(gripper.position_pulses)),
-            halted_by_watchdog: self.motion.halted_by_watchdog(),
-        }
-    }
-}
-
-fn stop_for(fault: Fault) -> Stop {
-    Stop { reason: StopReason::ArmFault, fault_code: fault.code }
 }
 
 fn stop_of(halt: Halt) -> Stop {
     match halt {
         Halt::Ordered => Stop::because(StopReason::Ordered),
         Halt::ConnectionBroke => Stop::because(StopReason::ConnectionBroke),
-        Halt::Fault(fault) => stop_for(fault),
-        Halt::NotReady(_)
-        | Halt::ModeChanged(_)
-        | Halt::VelocityRefused
-        | Halt::Refused(_)
-        | Halt::NoReports
-        | Halt::TooSlow
-        | Halt::Unsupported(_) => Stop::because(StopReason::NotReady),
+        Halt::Fault(fault) => Stop::by_fault(fault.code),
+        Halt::ModeChanged(_) => Stop::because(StopReason::TakenOver),
+        Halt::VelocityRefused => Stop::because(StopReason::VelocityRefused),
+        Halt::Unsupported(_) => Stop::because(StopReason::UnsupportedArm),
+        Halt::NoReports => Stop::because(StopReason::ArmSilent),
+        Halt::NotReady(_) | Halt::Refused(_) | Halt::TooSlow => Stop::because(StopReason::NotReady),
     }
 }

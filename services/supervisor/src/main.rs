@@ -8,7 +8,6 @@
 //! ```
 #![allow(clippy::print_stdout, reason = "this program's output is for people and pipes")]
 
-mod arm_mark;
 mod checks;
 mod dataset;
 mod doctor;

@@ -24,6 +24,9 @@ pub struct Options {
 pub fn give(options: &Options, order: Order) -> Result<(), Failure> {
     let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
     let answer = order_robot(&options.session, user, order).map_err(Failure::running)?;
+    if answer.starts_with("not armed") {
+        return Err(Failure::running(anyhow::anyhow!(answer)));
+    }
     print(answer).map_err(Failure::running)?;
     Ok(())
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tendon_config::{Backend, Config, Source};
-use tendon_messages::{Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
+use tendon_messages::{STATE_LENGTH, Stage, StateHeader};
 use tendon_observer::{Observer, State};
 use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
@@ -20,7 +20,6 @@ use tendon_session::{
 use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::TaskRun;
 
-use crate::arm_mark::ArmMark;
 use crate::options::Options;
 use crate::screen::{GESTURE_KEYS, KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
@@ -83,18 +82,7 @@ fn run_locked(
     } else {
         None
     };
-    let mark = match config.robot.backend {
-        Backend::Simulate => None,
-        Backend::XArm => Some(ArmMark::set(&config.robot.xarm).map_err(Failure::input)?),
-    };
-    let arm_stays = mark.as_ref().is_some_and(ArmMark::was_there);
-    if arm_stays {
-        terminal.errors.say(
-            "tendon: the session before was killed or left the arm stopped: it stays where it is until `tendon arm` \
-             (key a) and a rest",
-        );
-    }
-    let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors, arm_stays)
+    let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors)
         .map_err(Failure::input)?;
     let watched = watch_until_the_end(&mut watch, options, config, &mut task, terminal);
     let (usage, stopped) = watch.stop(|state| {
@@ -112,9 +100,6 @@ fn run_locked(
     } else {
         Ok(())
     };
-    if let Some(mark) = mark.filter(|_| left_in_good_order(&watch, arm_stays)) {
-        mark.remove().map_err(Failure::running)?;
-    }
     // What ended the session says more than what came of that.
     watched.and(stopped.map_err(Failure::running)).and(written.map_err(Failure::running))
 }
@@ -197,21 +182,6 @@ fn introduce(
     if options.keyboard || Keyboard::is_there() {
         say(format!("  {KEYS}"));
     }
-}
-
-/// Whether the arm was left free to move, or as it was found if it was never reached. `was_stopped`: it was found
-/// stopped.
-fn left_in_good_order(watch: &Watch<'_>, was_stopped: bool) -> bool {
-    let is_stopped = match watch.observer().newest_state() {
-        None => was_stopped,
-        Some(state) => {
-            let header = &state.header;
-            let never_reached = !watch.has_begun() && header.stop_reason == StopReason::ConnectionBroke as u8;
-            let permission = Permission::from_number(header.permission);
-            if never_reached { was_stopped } else { permission == Permission::Stopped }
-        }
-    };
-    watch.robot_obeyed() && !is_stopped
 }
 
 /// What the session knows of itself.

@@ -11,16 +11,16 @@ use tendon_xarm_emulator::{Emulator, FAULTS, Fault, Listen, Properties};
 
 /// An emulated xArm7, for Tendon and for the vendor's own clients.
 ///
-/// It prints `ready`, its address and its ports, then reads lines from its standard input. `state` prints how the arm
-/// is, `quit` ends the program, and the faults listed below make something go wrong or put it right. Without a
-/// standard input it runs until it is killed.
+/// It prints `ready`, its address and its ports, then reads commands from standard input, one a line: `state` prints the
+/// state of the arm, `quit` ends the program, and the faults listed below make something go wrong or end it. When
+/// standard input is closed, the emulator runs until it is killed.
 #[derive(Debug, Parser)]
 #[command(version, after_help = faults())]
 struct Options {
-    /// Where to listen; whoever reaches it can move the arm.
+    /// Address to listen on. Anybody who can reach it can move the arm.
     #[arg(long, default_value = "127.0.0.1", help_heading = "Network")]
     address: IpAddr,
-    /// Port of the control connection, 0 for any. Ports below 1024 may need rights.
+    /// Port of the control connection, 0 for any free one. Ports below 1024 may need root.
     #[arg(long, default_value_t = 502, help_heading = "Network")]
     control_port: u16,
     /// Port of the normal reports, 5 Hz.
@@ -34,8 +34,8 @@ struct Options {
     real_time_report_port: u16,
     #[command(flatten)]
     arm: ArmOptions,
-    /// A fault from the start, quoted: --fault 'creep 20'. May be given several times.
-    #[arg(long, value_name = "FAULT")]
+    /// A fault that exists from the start, in quotes: --fault 'creep 20'. May be repeated.
+    #[arg(long, value_name = "FAULT", help_heading = "Faults")]
     fault: Vec<Fault>,
 }
 
@@ -43,19 +43,19 @@ struct Options {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Arm")]
 struct ArmOptions {
-    /// Number of joints that the arm claims to have; Tendon drives 7.
+    /// Number of joints that the arm reports. Tendon drives arms with 7.
     #[arg(long, default_value_t = 7)]
     axes: u8,
-    /// Number of the model that the arm claims to be; 7 is the xArm7.
+    /// Model number that the arm reports; 7 is the xArm7.
     #[arg(long, default_value_t = 7)]
     model: u8,
-    /// Version of the firmware. One before 1.8.0 keeps moving when no new velocity comes.
+    /// Version of the firmware. Before 1.8.0 the arm keeps moving when no new velocity arrives.
     #[arg(long, default_value = "1.12.10", value_parser = firmware)]
     firmware: Firmware,
-    /// Serial number. Characters 3 to 6 are the generation: from 1305 on joints 2 and 4 have less room.
+    /// Serial number. Characters 3 to 6 are the generation: from 1305 on, joints 2 and 4 have a smaller range.
     #[arg(long, default_value = "XI130000000000")]
     serial_number: String,
-    /// From the flange to the tip of the tool, as set on the controller: mm and rad. The reported pose is that of the
+    /// TCP offset on the controller, from the flange to the tip of the tool: mm and rad. The arm reports the pose of the
     /// tip.
     #[arg(
         long,
@@ -65,7 +65,7 @@ struct ArmOptions {
         allow_hyphen_values = true
     )]
     tcp_offset: [f32; 6],
-    /// Load that is set on the controller: mass in kg, then its centre from the flange in mm.
+    /// Load on the controller: mass in kg, then its centre from the flange in mm.
     #[arg(
         long,
         value_name = "KG,X,Y,Z",
@@ -74,13 +74,13 @@ struct ArmOptions {
         allow_hyphen_values = true
     )]
     load: [f32; 4],
-    /// Collision sensitivity that is set on the controller: 0 is off, 5 the most sensitive.
+    /// Collision sensitivity on the controller: 0 is off, 5 the most sensitive.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=5))]
     collision_sensitivity: u8,
-    /// Teaching sensitivity that is set on the controller.
+    /// Teaching sensitivity on the controller.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=5))]
     teaching_sensitivity: u8,
-    /// Direction of gravity that is set on the controller: 0,0,-1 for an arm on a table, 0,0,1 under a ceiling.
+    /// Direction of gravity on the controller: 0,0,-1 for an arm on a table, 0,0,1 under a ceiling.
     #[arg(
         long,
         value_name = "X,Y,Z",
@@ -129,7 +129,7 @@ fn faults() -> String {
     for (form, explanation) in FAULTS {
         help += &format!("\n  {form:<18} {explanation}");
     }
-    help += "\n\nExample: an arm with a tool, whose emergency stop is pressed from the start:\n  \
+    help += "\n\nExample: an arm with a tool and its emergency stop pressed from the start:\n  \
              xarm-emulator --control-port 5020 --tcp-offset 0,0,172,0,0,0 --load 0.8,0,0,48 --fault emergency-stop";
     help
 }

@@ -25,6 +25,22 @@ pub const LOWER_LIMITS_RAD: JointVector =
 pub const UPPER_LIMITS_RAD: JointVector =
     joint_vector([2.0 * PI, 2.0944, 2.0 * PI, 3.927, 2.0 * PI, PI, 2.0 * PI]);
 
+/// Joint limits of one arm. They differ between generations of the xArm7.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointLimits {
+    /// Lower limits in rad.
+    pub lower_rad: JointVector,
+    /// Upper limits in rad.
+    pub upper_rad: JointVector,
+}
+
+impl Default for JointLimits {
+    /// [`LOWER_LIMITS_RAD`] and [`UPPER_LIMITS_RAD`].
+    fn default() -> JointLimits {
+        JointLimits { lower_rad: LOWER_LIMITS_RAD, upper_rad: UPPER_LIMITS_RAD }
+    }
+}
+
 /// The greatest speed of every joint in rad/s.
 #[expect(clippy::approx_constant, reason = "the vendor's limit is 3.14, not π")]
 pub const JOINT_SPEED_LIMIT_RAD_PER_S: f64 = 3.14;

@@ -28,11 +28,12 @@ mod twist;
 pub mod velocity;
 
 pub use guard::{Guard, LimitViolation};
-pub use kinematics::{JointVector, XArm7};
+pub use kinematics::{JointLimits, JointVector, XArm7};
+pub use limits::Obstacle;
 pub use motion::Motion;
 pub use ramp::{
     ANGULAR_ACCELERATION_RAD_PER_S2, ANGULAR_SPEED_LIMIT_RAD_PER_S, MotionBounds, STEP_NS, STOP_NS,
 };
 pub use settings::{ArmSettings, ArmSettingsError};
-pub use simulation::{ArmState, GripperCommand, SimulatedArm};
+pub use simulation::{ArmState, SimulatedArm};
 pub use twist::{NonFiniteTwist, Twist};

@@ -1,8 +1,12 @@
 //! From commands to a velocity that an arm can follow without leaving its limits.
 
-use crate::limits::Limits;
+use crate::kinematics::JointLimits;
+use crate::limits::{Limits, Obstacle};
 use crate::ramp::TwistRamp;
 use crate::{ArmSettings, JointVector, NonFiniteTwist, Twist};
+
+/// A slower flange is at rest, in mm/s: at a limit the velocity is never quite zero.
+const REST_MM_PER_S: f64 = 1.0;
 
 /// The velocity that an arm is to follow, step by step: bounded in speed, acceleration and jerk
 /// ([`ArmSettings::linear_bounds`], [`ArmSettings::angular_bounds`]), never out of the workspace, and at rest when
@@ -49,8 +53,20 @@ impl Motion {
     /// rad then. With angles that are not finite the arm brakes.
     pub fn advance(&mut self, now_ns: u64, joints_rad: &JointVector) -> Twist {
         let here = if self.ramp.is_still() { None } else { self.limits.at(joints_rad) };
-        self.ramp
-            .advance(now_ns, |run_down| here.as_ref().is_some_and(|here| here.permit(run_down.velocities())))
+        self.ramp.advance(now_ns, |run_down| match &here {
+            Some(here) => here.permit(run_down.velocities()),
+            None => Err(Obstacle::Singularity),
+        })
+    }
+
+    /// Keeps these joint limits from now on; before, [`JointLimits::default`].
+    pub fn set_joint_limits(&mut self, limits: JointLimits) {
+        self.limits.joints = limits;
+    }
+
+    /// What kept the last step from being as commanded; `None` if nothing did.
+    pub fn obstacle(&self) -> Option<Obstacle> {
+        self.ramp.obstacle()
     }
 
     /// The velocity when this share, 0 to 1, of the coming step has passed: on the straight line from
@@ -65,6 +81,11 @@ impl Motion {
     /// The velocity of the last step.
     pub fn velocity(&self) -> Twist {
         self.ramp.velocity()
+    }
+
+    /// Whether the flange is to stand where it is, by command or because a limit lets it go no further.
+    pub fn is_commanded_to_rest(&self) -> bool {
+        self.velocity().linear_speed_mm_per_s() < REST_MM_PER_S
     }
 
     /// Whether nothing moves and nothing is told to.
@@ -166,6 +187,50 @@ mod tests {
         // From the margin it may also go along the face.
         let inside = *back.iter().find(|joints| position_mm(joints).z < start.z - 10.5).unwrap();
         assert!((position_mm(&hold(&settings, inside, push(1, 100.0), 200)[199]) - start).y > 60.0);
+    }
+
+    #[test]
+    fn a_push_partly_into_a_wall_slides_along_it_and_says_which_wall() {
+        let settings = ArmSettings::default();
+        let (model, mut motion) = (XArm7::new(), Motion::new(&settings));
+        let mut joints_rad = settings.start_joints_rad();
+        let start = position_mm(&joints_rad);
+        let push = Twist { linear_mm_per_s: [0.0, 25.0, 75.0], ..Twist::ZERO };
+        let mut velocity = Twist::ZERO;
+        for step in 0..1750 {
+            motion.command(push, step * STEP_NS).unwrap();
+            velocity = motion.advance(step * STEP_NS, &joints_rad);
+            joints_rad += joint_velocities(&model, &joints_rad, &velocity).rad_per_s * STEP_S;
+        }
+        let way = position_mm(&joints_rad) - start;
+        assert!((way.z - (647.0 - start.z)).abs() < 1.0, "{way}");
+        assert!(way.y > 150.0, "{way}");
+        assert!(velocity.linear_mm_per_s[1] > 24.0, "{velocity:?}");
+        assert_eq!(motion.obstacle(), Some(Obstacle::WorkspaceFace { axis: 2, is_upper: true }));
+        motion.command(Twist::ZERO, 1750 * STEP_NS).unwrap();
+        motion.advance(1750 * STEP_NS, &joints_rad);
+        assert_eq!(motion.obstacle(), None);
+    }
+
+    #[test]
+    fn narrower_joint_limits_are_kept() {
+        let settings = settings(WIDE);
+        let narrow = JointVector::from([0.0, 0.0, 0.0, -0.104_72, 0.0, 0.0, 0.0]);
+        let mut limits = JointLimits::default();
+        limits.lower_rad[3] = narrow[3];
+        let (model, mut motion) = (XArm7::new(), Motion::new(&settings));
+        motion.set_joint_limits(limits);
+        let mut joints_rad = settings.start_joints_rad();
+        joints_rad[3] = 0.15;
+        joints_rad[5] = 1.2;
+        let mut lowest = joints_rad[3];
+        for step in 0..3000 {
+            motion.command(push(0, 50.0), step * STEP_NS).unwrap();
+            let velocity = motion.advance(step * STEP_NS, &joints_rad);
+            joints_rad += joint_velocities(&model, &joints_rad, &velocity).rad_per_s * STEP_S;
+            lowest = lowest.min(joints_rad[3]);
+        }
+        assert!(lowest >= narrow[3], "{lowest}");
     }
 
     #[test]

@@ -15,12 +15,14 @@
 //!   most 2a/T = j. (A trapezoidal profile smoothed by a moving average: Biagiotti and Melchiorri,
 //!   Trajectory Planning for Automatic Machines and Robots, 2008, ch. 4.)
 //! - **Limits.** Before each step the ramp asks whether the arm, should it brake right after it, would come to
-//!   rest within its limits ([`RunDown`]). If not, it takes the greatest share of the step, and brakes for the rest.
+//!   rest within its limits ([`RunDown`]). If not, it takes the greatest share of the step, and brakes for the rest. At
+//!   a face of the workspace only the part of the command that leads into the face is braked: the arm slides along it.
 //! - **Stopping.** Beside all that, a stop takes the velocity to zero by a factor that falls from 1 to 0 along two
 //!   parabolas in [`STOP_NS`].
 
 use nalgebra::{Vector3, Vector6};
 
+use crate::limits::Obstacle;
 use crate::{ArmSettings, Twist};
 
 /// Length of a step of motion in ns: 250 Hz, the rate of the vendor's controller.
@@ -93,6 +95,8 @@ pub(crate) struct TwistRamp {
     quiet_steps: usize,
     /// Steps of the stop that were taken; `None` while following.
     stop_steps: Option<u32>,
+    /// What kept the last step from being as commanded.
+    obstacle: Option<Obstacle>,
     velocity: Twist,
 }
 
@@ -115,6 +119,7 @@ impl TwistRamp {
             oldest: 0,
             quiet_steps: averaged_steps,
             stop_steps: None,
+            obstacle: None,
             velocity: Twist::ZERO,
         }
     }
@@ -147,12 +152,13 @@ impl TwistRamp {
 
     /// The velocity for the [`STEP_NS`] that begin at `now_ns`. `permits` says of a run-down whether it keeps the
     /// limits; braking needs no permission.
-    pub fn advance(&mut self, now_ns: u64, permits: impl Fn(&RunDown) -> bool) -> Twist {
+    pub fn advance(&mut self, now_ns: u64, permits: impl Fn(&RunDown) -> Result<(), Obstacle>) -> Twist {
         if self.deadline_ns.is_some_and(|deadline_ns| now_ns >= deadline_ns) {
             self.stop();
             self.halted_by_watchdog = true;
         }
-        let next = self.next_inner(permits);
+        let (next, obstacle) = self.next_inner(permits);
+        self.obstacle = obstacle;
         self.recent[self.oldest] = next;
         self.oldest = (self.oldest + 1) % self.averaged_steps;
         self.quiet_steps = if next == Vector6::zeros() { self.quiet_steps.saturating_add(1) } else { 0 };
@@ -174,6 +180,11 @@ impl TwistRamp {
     /// The velocity of the last step.
     pub fn velocity(&self) -> Twist {
         self.velocity
+    }
+
+    /// What kept the last step from being as commanded.
+    pub fn obstacle(&self) -> Option<Obstacle> {
+        self.obstacle
     }
 
     /// Whether a stop is under way.
@@ -208,29 +219,64 @@ impl TwistRamp {
         self.velocity = Twist::ZERO;
     }
 
-    /// The inner velocity of the coming step.
-    fn next_inner(&self, permits: impl Fn(&RunDown) -> bool) -> Vector6<f64> {
+    /// The inner velocity of the coming step, and what kept it from being as commanded.
+    fn next_inner(
+        &self,
+        permits: impl Fn(&RunDown) -> Result<(), Obstacle>,
+    ) -> (Vector6<f64>, Option<Obstacle>) {
         let inner = self.recent[(self.oldest + self.averaged_steps - 1) % self.averaged_steps];
         let brake = toward(&inner, &Vector6::zeros(), self.most_change);
         if self.is_stopping() {
-            return brake;
+            return (brake, None);
         }
-        let wanted = toward(&inner, &self.target.to_vector_mm(), self.most_change);
-        if wanted == brake || permits(&RunDown::new(self, wanted)) {
-            return wanted;
+        let target = self.target.to_vector_mm();
+        let wanted = toward(&inner, &target, self.most_change);
+        if wanted == brake {
+            return (wanted, None);
         }
+        let obstacle = match permits(&RunDown::new(self, wanted)) {
+            Ok(()) => return (wanted, None),
+            Err(obstacle) => obstacle,
+        };
+        let least = self.slide(&inner, target, obstacle, &permits).unwrap_or(brake);
         // Each mixture of the two changes the inner velocity by no more than they do.
-        let mixture = |share: f64| brake + (wanted - brake) * share;
+        let mixture = |share: f64| least + (wanted - least) * share;
         let (mut permitted, mut refused) = (0.0, 1.0);
         for _ in 0..BISECTIONS {
             let middle = 0.5 * (permitted + refused);
-            if permits(&RunDown::new(self, mixture(middle))) {
+            if permits(&RunDown::new(self, mixture(middle))).is_ok() {
                 permitted = middle;
             } else {
                 refused = middle;
             }
         }
-        mixture(permitted)
+        (mixture(permitted), Some(obstacle))
+    }
+
+    /// The inner velocity on the way to the part of the target that leads along the faces of the workspace, if it is
+    /// permitted.
+    fn slide(
+        &self,
+        inner: &Vector6<f64>,
+        mut target: Vector6<f64>,
+        mut obstacle: Obstacle,
+        permits: impl Fn(&RunDown) -> Result<(), Obstacle>,
+    ) -> Option<Vector6<f64>> {
+        // Three faces can meet in a corner.
+        for _ in 0..3 {
+            let Obstacle::WorkspaceFace { axis, is_upper } = obstacle else { return None };
+            let leads_into_it = if is_upper { target[axis] > 0.0 } else { target[axis] < 0.0 };
+            if !leads_into_it {
+                return None;
+            }
+            target[axis] = 0.0;
+            let along = toward(inner, &target, self.most_change);
+            match permits(&RunDown::new(self, along)) {
+                Ok(()) => return Some(along),
+                Err(next) => obstacle = next,
+            }
+        }
+        None
     }
 
     fn sum_of_recent(&self) -> Vector6<f64> {
@@ -318,7 +364,9 @@ mod tests {
 
     /// Takes so many steps without limits, from the time of step `begin`, and returns the speeds along x in mm/s.
     fn speeds(ramp: &mut TwistRamp, begin: u64, steps: u64) -> Vec<f64> {
-        (begin..begin + steps).map(|step| ramp.advance(step * STEP_NS, |_| true).linear_mm_per_s[0]).collect()
+        (begin..begin + steps)
+            .map(|step| ramp.advance(step * STEP_NS, |_| Ok(())).linear_mm_per_s[0])
+            .collect()
     }
 
     #[test]
@@ -344,14 +392,14 @@ mod tests {
         let foreseen = std::cell::RefCell::new(Vec::new());
         let mut followed = vec![ramp.advance(30 * STEP_NS, |run_down| {
             *foreseen.borrow_mut() = run_down.velocities().collect();
-            true
+            Ok(())
         })];
         ramp.command(Twist::ZERO, 31 * STEP_NS);
         let foreseen = foreseen.into_inner();
         // With the watchdog's 150 ms this is shorter than the braking; feed it on the way.
         for step in 31..30 + foreseen.len() as u64 {
             ramp.command(Twist::ZERO, step * STEP_NS);
-            followed.push(ramp.advance(step * STEP_NS, |_| false));
+            followed.push(ramp.advance(step * STEP_NS, |_| Err(Obstacle::Singularity)));
         }
         assert!(ramp.is_still());
         for (foreseen, followed) in foreseen.iter().zip(followed) {
@@ -364,9 +412,13 @@ mod tests {
         let mut ramp = ramp();
         ramp.command(forward(100.0), 0);
         speeds(&mut ramp, 0, 20);
-        let most = |candidate: f64| move |run_down: &RunDown| run_down.candidate[0] <= candidate;
+        let most = |candidate: f64| {
+            move |run_down: &RunDown| {
+                if run_down.candidate[0] <= candidate { Ok(()) } else { Err(Obstacle::JointSpeed) }
+            }
+        };
         for (permitted, expected) in [(0.0, 38.0), (39.0, 39.0), (41.97, 41.9375), (50.0, 42.0)] {
-            let inner = ramp.clone().next_inner(most(permitted))[0];
+            let inner = ramp.clone().next_inner(most(permitted)).0[0];
             assert!((inner - expected).abs() < 1e-9, "{permitted} {inner}");
         }
     }
@@ -375,10 +427,10 @@ mod tests {
     fn the_watchdog_stops_exactly_when_the_command_runs_out() {
         let mut ramp = ramp();
         ramp.command(forward(2.0), 1_000);
-        (0..30).for_each(|_| _ = ramp.advance(150_000_999, |_| true));
+        (0..30).for_each(|_| _ = ramp.advance(150_000_999, |_| Ok(())));
         assert!((ramp.velocity().linear_mm_per_s[0] - 2.0).abs() < 1e-12);
         assert!(!ramp.halted_by_watchdog() && !ramp.is_stopping());
-        ramp.advance(150_001_000, |_| true);
+        ramp.advance(150_001_000, |_| Ok(()));
         assert!(ramp.halted_by_watchdog() && ramp.is_stopping());
         let slowing = speeds(&mut ramp, 38, 19);
         assert!(slowing[17] > 0.0 && slowing[18] == 0.0);
@@ -393,14 +445,14 @@ mod tests {
             let mut ramp = TwistRamp::new(&ArmSettings { watchdog_ms: 60, ..ArmSettings::default() });
             for step in 0..50 {
                 ramp.command(forward(100.0), step * STEP_NS);
-                ramp.advance(step * STEP_NS, |_| true);
+                ramp.advance(step * STEP_NS, |_| Ok(()));
             }
             ramp.stop();
             for step in 50..80 {
                 if step == command_at {
                     ramp.command(forward(100.0), step * STEP_NS);
                 }
-                let speed = ramp.advance(step * STEP_NS, |_| true).linear_mm_per_s[0];
+                let speed = ramp.advance(step * STEP_NS, |_| Ok(())).linear_mm_per_s[0];
                 if step == 69 {
                     assert_eq!(speed, 0.0, "20 steps after the stop");
                 }

@@ -14,6 +14,17 @@ const LONGEST_BRAKING_S: f64 = 2.0;
 /// The least width of the workspace in mm: motion ends a little before its faces.
 const LEAST_WORKSPACE_MM: f64 = 10.0;
 
+/// Greatest values that an arm near a person may have: the watchdog, so that silence moves it no further than 30 mm at
+/// 100 mm/s; the speed, 250 mm/s, at which ISO 10218-1 lets a person stand beside; accelerations and jerks ten times
+/// the defaults'; the gripper's own greatest speed.
+const REAL_ARM_LIMITS: [(&str, f64); 5] = [
+    ("watchdog_ms", 300.0),
+    ("linear_speed_limit_mm_per_s", 250.0),
+    ("linear_acceleration_mm_per_s2", 5000.0),
+    ("linear_jerk_mm_per_s3", 100_000.0),
+    ("gripper_speed_pulses_per_s", 5000.0),
+];
+
 /// How fast the arm may move, where it starts, and when silence stops it. Unknown keys are errors; keys
 /// left out take their defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -82,6 +93,16 @@ pub enum ArmSettingsError {
         value: f64,
         /// The least value that goes with the other settings.
         least: f64,
+    },
+    /// More than a real arm near a person may have.
+    #[error("{key} is {value}: a real arm near a person may have at most {most}")]
+    TooMuchForRealArm {
+        /// The key of the setting.
+        key: &'static str,
+        /// Its value.
+        value: f64,
+        /// The greatest value.
+        most: f64,
     },
     /// A workspace without room.
     #[error(
@@ -189,6 +210,24 @@ impl ArmSettings {
         self.check_start()
     }
 
+    /// Checks what a real arm near a person may have; [`ArmSettings::check`] comes first.
+    ///
+    /// # Errors
+    /// [`ArmSettingsError::TooMuchForRealArm`] names the first key that is above its greatest value.
+    pub fn check_for_real_arm(&self) -> Result<(), ArmSettingsError> {
+        let values = [
+            self.watchdog_ms as f64,
+            self.linear_speed_limit_mm_per_s,
+            self.linear_acceleration_mm_per_s2,
+            self.linear_jerk_mm_per_s3,
+            self.gripper_speed_pulses_per_s,
+        ];
+        match REAL_ARM_LIMITS.into_iter().zip(values).find(|((_, most), value)| value > most) {
+            Some(((key, most), value)) => Err(ArmSettingsError::TooMuchForRealArm { key, value, most }),
+            None => Ok(()),
+        }
+    }
+
     /// Joint angles at the start in rad.
     pub fn start_joints_rad(&self) -> JointVector {
         JointVector::from(self.start_joints_deg.map(f64::to_radians))
@@ -284,6 +323,17 @@ mod tests {
     fn unknown_keys_are_refused() {
         let error = serde_json::from_str::<ArmSettings>(r#"{"watchdog": 150}"#).unwrap_err();
         assert!(error.to_string().contains("watchdog_ms"), "{error}");
+    }
+
+    #[test]
+    fn what_disarms_the_watchdog_or_is_too_fast_near_a_person_is_refused() {
+        let check = |settings: ArmSettings| settings.check_for_real_arm().map_err(|error| error.to_string());
+        let default = ArmSettings::default;
+        assert_eq!(check(default()), Ok(()));
+        let slow = check(ArmSettings { watchdog_ms: 10_000, ..default() }).unwrap_err();
+        assert_eq!(slow, "watchdog_ms is 10000: a real arm near a person may have at most 300");
+        let fast = check(ArmSettings { linear_speed_limit_mm_per_s: 1500.0, ..default() }).unwrap_err();
+        assert!(fast.starts_with("linear_speed_limit_mm_per_s is 1500:"), "{fast}");
     }
 
     #[test]

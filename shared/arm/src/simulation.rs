@@ -9,15 +9,6 @@ use crate::ramp::STEP_S;
 use crate::velocity::joint_velocities;
 use crate::{ArmSettings, ArmSettingsError, Motion, NonFiniteTwist, STEP_NS, Twist};
 
-/// Where the gripper is to go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum GripperCommand {
-    /// To the open position of the settings.
-    Open,
-    /// To the closed position of the settings.
-    Close,
-}
-
 /// What an arm reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ArmState {
@@ -79,15 +70,12 @@ impl SimulatedArm {
         self.motion.command(twist, now_ns)
     }
 
-    /// Lets the time up to `now_ns` pass, then sets the gripper moving and returns at once. The gripper goes
-    /// to the end whatever becomes of the arm's commands, except for a [`SimulatedArm::stop`] or
+    /// Lets the time up to `now_ns` pass, then sets the gripper moving to this position in pulses and returns at once.
+    /// It goes to the end whatever becomes of the arm's commands, except for a [`SimulatedArm::stop`] or
     /// [`SimulatedArm::halt`]: a watchdog that stopped it would drop what it is about to hold.
-    pub fn command_gripper(&mut self, command: GripperCommand, now_ns: u64) {
+    pub fn move_gripper(&mut self, pulses: f64, now_ns: u64) {
         self.tick(now_ns);
-        self.gripper_target_pulses = match command {
-            GripperCommand::Open => self.settings.gripper_open_pulses,
-            GripperCommand::Close => self.settings.gripper_closed_pulses,
-        };
+        self.gripper_target_pulses = pulses;
     }
 
     /// Brings the arm to rest as [`SimulatedArm::stop`] does; the gripper goes on.
@@ -283,7 +271,7 @@ mod tests {
     #[test]
     fn a_halt_stops_arm_and_gripper_at_once_until_the_next_command() {
         let mut arm = arm();
-        arm.command_gripper(GripperCommand::Close, 0);
+        arm.move_gripper(-10.0, 0);
         hold(&mut arm, linear(100.0, 0.0, 0.0), 300);
         assert!(arm.state().linear_speed_mm_per_s > 99.0);
         arm.halt();
@@ -300,7 +288,7 @@ mod tests {
     fn a_stop_takes_80_ms_and_keeps_the_gripper_where_it_is() {
         let mut arm = arm();
         hold(&mut arm, linear(0.0, 100.0, 0.0), 400);
-        arm.command_gripper(GripperCommand::Close, 400 * MS);
+        arm.move_gripper(-10.0, 400 * MS);
         arm.tick(440 * MS);
         assert!(arm.state().linear_speed_mm_per_s > 99.0);
         arm.stop();
@@ -328,12 +316,12 @@ mod tests {
     fn the_gripper_travels_at_its_speed_and_to_its_end() {
         let mut arm = arm();
         assert_eq!(arm.state().gripper_position_pulses, 850.0);
-        arm.command_gripper(GripperCommand::Close, 0);
+        arm.move_gripper(-10.0, 0);
         arm.tick(200 * MS);
         assert!((arm.state().gripper_position_pulses - 550.0).abs() < 1e-9);
         arm.tick(1000 * MS);
         assert_eq!(arm.state().gripper_position_pulses, -10.0);
-        arm.command_gripper(GripperCommand::Open, 1000 * MS);
+        arm.move_gripper(850.0, 1000 * MS);
         arm.tick(1100 * MS);
         assert!((arm.state().gripper_position_pulses - 140.0).abs() < 1e-9);
     }

@@ -43,6 +43,9 @@ impl Config {
         self.decision.check().map_err(section("decision"))?;
         self.check_arm_on_the_network()?;
         self.robot.arm.check().map_err(section("robot.arm"))?;
+        if self.robot.backend == Backend::XArm {
+            self.robot.arm.check_for_real_arm().map_err(section("robot.arm"))?;
+        }
         self.task.check().map_err(section("task"))
     }
 
@@ -250,6 +253,23 @@ mod tests {
         config.check().unwrap();
         config.dsp.windows.increment_samples = 300;
         assert!(refusal(&config).contains("watchdog_ms = 150"), "{}", refusal(&config));
+    }
+
+    #[test]
+    fn what_would_disarm_a_real_arm_is_refused() {
+        let mut config = Config::default();
+        config.robot.arm.watchdog_ms = 10_000;
+        config.robot.arm.linear_speed_limit_mm_per_s = 400.0;
+        config.check().unwrap();
+        config.robot.backend = Backend::XArm;
+        config.robot.xarm.address = Some("127.0.0.1".parse().unwrap());
+        assert!(
+            refusal(&config).contains("watchdog_ms is 10000: a real arm near a person may have at most 300")
+        );
+        config.robot.arm.watchdog_ms = 300;
+        assert!(refusal(&config).contains("linear_speed_limit_mm_per_s is 400"));
+        config.robot.arm.linear_speed_limit_mm_per_s = 250.0;
+        config.check().unwrap();
     }
 
     /// Keys of all numbers, `robot.arm.workspace_min_mm.1` for one in a list.

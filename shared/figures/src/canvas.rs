@@ -48,19 +48,23 @@ impl From<FigureError> for OutputError {
 
 pub(crate) const FONT: &str = "sans-serif";
 
+/// What the drawing library says is wrong: each kind of file has an error type of its own.
+#[derive(Debug)]
+pub(crate) struct DrawError(String);
+
 /// Bytes of a pixel: red, green, blue.
 const PIXEL: usize = 3;
 
 /// Something that can be drawn on either kind of file.
 pub(crate) trait Figure {
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String>
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static;
 }
 
 /// Draws in memory, then writes the file as a whole.
 pub(crate) fn draw(path: &Path, size: (u32, u32), figure: &impl Figure) -> Result<(), FigureError> {
-    let draw_error = |reason: String| FigureError::Draw { path: path.to_owned(), reason };
+    let draw_error = |DrawError(reason)| FigureError::Draw { path: path.to_owned(), reason };
     register_fonts().map_err(draw_error)?;
     let content = match path.extension().and_then(|ending| ending.to_str()) {
         Some("png") => png(size, figure).map_err(draw_error)?,
@@ -75,7 +79,7 @@ pub(crate) fn draw(path: &Path, size: (u32, u32), figure: &impl Figure) -> Resul
     Ok(OutputFile::check(path)?.write_bytes(&content)?)
 }
 
-fn png(size: (u32, u32), figure: &impl Figure) -> Result<Vec<u8>, String> {
+fn png(size: (u32, u32), figure: &impl Figure) -> Result<Vec<u8>, DrawError> {
     let (width, height) = size;
     let mut pixels = vec![0; width as usize * height as usize * PIXEL];
     finish(figure, &BitMapBackend::with_buffer(&mut pixels, size).into_drawing_area())?;
@@ -87,7 +91,7 @@ fn png(size: (u32, u32), figure: &impl Figure) -> Result<Vec<u8>, String> {
     Ok(content)
 }
 
-fn finish<B: DrawingBackend>(figure: &impl Figure, area: &DrawingArea<B, Shift>) -> Result<(), String>
+fn finish<B: DrawingBackend>(figure: &impl Figure, area: &DrawingArea<B, Shift>) -> Result<(), DrawError>
 where
     B::ErrorType: 'static,
 {
@@ -97,12 +101,16 @@ where
 }
 
 /// The font comes with the program, so that figures are the same on every machine.
-fn register_fonts() -> Result<(), String> {
+fn register_fonts() -> Result<(), DrawError> {
     static REGISTERED: OnceLock<bool> = OnceLock::new();
     let registered = REGISTERED.get_or_init(|| register_font(FONT, FontStyle::Normal, UBUNTU_LIGHT).is_ok());
-    if *registered { Ok(()) } else { Err("the font that comes with the program is broken".to_owned()) }
+    if *registered {
+        Ok(())
+    } else {
+        Err(DrawError("the font that comes with the program is broken".to_owned()))
+    }
 }
 
-pub(crate) fn text(error: impl Debug) -> String {
-    format!("{error:?}")
+pub(crate) fn text(error: impl Debug) -> DrawError {
+    DrawError(format!("{error:?}"))
 }

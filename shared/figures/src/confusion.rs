@@ -11,7 +11,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use tendon_evaluation::Confusion;
 use tendon_gesture::Class;
 
-use crate::canvas::{FONT, Figure, FigureError, draw, text};
+use crate::canvas::{DrawError, FONT, Figure, FigureError, draw, text};
 
 /// Side of a cell, pixels.
 const CELL: i32 = 96;
@@ -44,7 +44,7 @@ struct Matrix<'a> {
 }
 
 impl Figure for Matrix<'_> {
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String>
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {

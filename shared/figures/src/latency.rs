@@ -25,17 +25,17 @@ use plotters::prelude::{
 };
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::canvas::{FONT, Figure, FigureError, draw, text};
+use crate::canvas::{DrawError, FONT, Figure, FigureError, draw, text};
 
 /// Size of the figure, pixels.
 const SIZE: (u32, u32) = (800, 480);
-/// Number of bars up to the 99th percentile.
-const BARS: usize = 60;
-/// Room between the last bar and the tail, in widths of a bar.
-const TAIL_GAP: f64 = 4.0;
-/// Width of the tail's bar, and of the room for its label beside it, in widths of a bar.
-const TAIL_WIDTH: f64 = 4.0;
-const TAIL_LABEL: f64 = 12.0;
+/// Bars up to the 99th percentile, at most. None is narrower than what the histogram tells apart.
+const BARS: u64 = 60;
+/// Room between the last bar and the tail, as a share of the range of the bars.
+const TAIL_GAP: f64 = 0.07;
+/// Width of the tail's bar, and of the room for its label beside it, as shares of that range.
+const TAIL_WIDTH: f64 = 0.07;
+const TAIL_LABEL: f64 = 0.2;
 /// From this count on a bar of one window is lower than two pixels of a linear axis.
 const LOGARITHMIC_FROM: u64 = 200;
 /// Where a logarithmic axis begins, so that one window is a visible bar.
@@ -66,7 +66,7 @@ struct Latencies<'a> {
 struct Bars {
     /// What the bars of one width span, ms.
     range_ms: Range<f64>,
-    counts: [u64; BARS],
+    counts: Vec<u64>,
     /// Latencies above the range.
     tail: u64,
 }
@@ -74,25 +74,29 @@ struct Bars {
 impl Bars {
     fn of(latencies_ns: &Histogram<u64>) -> Bars {
         if latencies_ns.is_empty() {
-            return Bars { range_ms: 0.0..1.0, counts: [0; BARS], tail: 0 };
+            return Bars { range_ms: 0.0..1.0, counts: vec![0; BARS as usize], tail: 0 };
         }
-        let start = milliseconds(latencies_ns.min());
         let last_ns = latencies_ns.value_at_quantile(0.99);
-        let end = milliseconds(last_ns).max(start + 1e-3);
-        let (mut counts, mut tail) = ([0; BARS], 0);
+        let start_ns = latencies_ns.lowest_equivalent(latencies_ns.min());
+        let end_ns = latencies_ns.next_non_equivalent(last_ns);
+        let bars = ((end_ns - start_ns) / latencies_ns.equivalent_range(last_ns)).clamp(1, BARS);
+        let mut counts = vec![0; bars as usize];
+        let mut tail = 0;
         for value in latencies_ns.iter_recorded() {
-            if value.value_iterated_to() > last_ns {
+            let latency_ns = value.value_iterated_to();
+            if latency_ns > last_ns {
                 tail += value.count_at_value();
-                continue;
+            } else {
+                let middle_ns = latencies_ns.median_equivalent(latency_ns).max(start_ns);
+                let bar = (middle_ns - start_ns) * bars / (end_ns - start_ns);
+                counts[bar.min(bars - 1) as usize] += value.count_at_value();
             }
-            let place = (milliseconds(value.value_iterated_to()) - start) / (end - start) * BARS as f64;
-            counts[(place.max(0.0) as usize).min(BARS - 1)] += value.count_at_value();
         }
-        Bars { range_ms: start..end, counts, tail }
+        Bars { range_ms: milliseconds(start_ns)..milliseconds(end_ns), counts, tail }
     }
 
     fn width_ms(&self) -> f64 {
-        (self.range_ms.end - self.range_ms.start) / BARS as f64
+        (self.range_ms.end - self.range_ms.start) / self.counts.len() as f64
     }
 
     fn highest(&self) -> u64 {
@@ -101,7 +105,7 @@ impl Bars {
 }
 
 impl Figure for Latencies<'_> {
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String>
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
@@ -143,16 +147,16 @@ impl Figure for Latencies<'_> {
 type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<LatencyAxis, CountAxis>>;
 
 impl Latencies<'_> {
-    fn draw_tail<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
+    fn draw_tail<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
         if self.bars.tail == 0 {
             return Ok(());
         }
-        let width_ms = self.bars.width_ms();
-        let left = self.bars.range_ms.end + TAIL_GAP * width_ms;
-        let right = left + TAIL_WIDTH * width_ms;
+        let range_ms = self.bars.range_ms.end - self.bars.range_ms.start;
+        let left = self.bars.range_ms.end + TAIL_GAP * range_ms;
+        let right = left + TAIL_WIDTH * range_ms;
         let bar = Rectangle::new([(left, 0.0), (right, self.bars.tail as f64)], TAIL.filled());
         chart.draw_series([bar]).map_err(text)?;
         let longest_ms = milliseconds(self.latencies_ns.max());
@@ -174,7 +178,7 @@ impl Latencies<'_> {
         Ok(())
     }
 
-    fn draw_mean<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
+    fn draw_mean<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
@@ -182,7 +186,7 @@ impl Latencies<'_> {
             return Ok(());
         }
         let mean_ms = self.latencies_ns.mean() / 1e6;
-        let top = self.bars.highest() as f64 * HEADROOM;
+        let top = CountAxis::TOP;
         let Range { start, end } = self.bars.range_ms;
         // A few very long ones can take the mean beyond the axis.
         let is_on_axis = (start..=end).contains(&mean_ms);
@@ -218,7 +222,7 @@ impl LatencyAxis {
     fn of(bars: &Bars) -> LatencyAxis {
         let Range { start, end } = bars.range_ms;
         let tail = if bars.tail > 0 { TAIL_GAP + TAIL_WIDTH + TAIL_LABEL } else { 0.0 };
-        LatencyAxis { range_ms: start..end + tail * bars.width_ms(), labelled_to_ms: end }
+        LatencyAxis { range_ms: start..end + tail * (end - start), labelled_to_ms: end }
     }
 }
 
@@ -259,6 +263,8 @@ struct CountAxis {
 impl CountAxis {
     /// Anything at or below the axis.
     const FLOOR: f64 = 0.0;
+    /// Anything above it.
+    const TOP: f64 = f64::MAX;
 
     fn up_to(highest: u64) -> CountAxis {
         CountAxis { highest }
@@ -359,6 +365,14 @@ mod tests {
         assert_eq!(bars.counts.iter().sum::<u64>() + bars.tail, 1000);
         let Range { start, end } = bars.range_ms;
         assert!((start - 300.0).abs() < 0.5 && (end - 310.0).abs() < 0.5, "{start} to {end}");
+    }
+
+    #[test]
+    fn no_bar_is_narrower_than_what_the_histogram_tells_apart() {
+        let latencies = histogram((0..400).map(|index| 299_600 + index * 2));
+        let bars = Bars::of(&latencies);
+        assert!(bars.width_ms() >= milliseconds(latencies.equivalent_range(300_000_000)) * 0.99);
+        assert!(bars.counts.iter().all(|windows| *windows > 0), "{:?}", bars.counts);
     }
 
     #[test]

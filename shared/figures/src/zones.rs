@@ -14,7 +14,7 @@ use plotters::prelude::{
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use tendon_zones::{TaskReport, Workspace, ZoneScore, ZoneShape, ZoneTask};
 
-use crate::canvas::{FONT, Figure, FigureError, draw, text};
+use crate::canvas::{DrawError, FONT, Figure, FigureError, draw, text};
 
 /// Pixels a mm, the same in both directions.
 const SCALE: f64 = 1.4;
@@ -69,7 +69,7 @@ struct Zones<'a> {
 type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 impl Figure for Zones<'_> {
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), String>
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
@@ -117,7 +117,7 @@ impl Zones<'_> {
         [low_mm.y..high_mm.y, low_mm.z..high_mm.z]
     }
 
-    fn draw_workspace<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
+    fn draw_workspace<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
@@ -126,7 +126,7 @@ impl Zones<'_> {
         chart.draw_series([Rectangle::new(corners, BLACK.stroke_width(2))]).map_err(text).map(|_| ())
     }
 
-    fn draw_zones<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
+    fn draw_zones<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
@@ -158,7 +158,7 @@ impl Zones<'_> {
         Ok(())
     }
 
-    fn draw_path<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
+    fn draw_path<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
@@ -179,7 +179,7 @@ impl Zones<'_> {
             .map(|_| ())
     }
 
-    fn draw_numbers<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), String>
+    fn draw_numbers<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
@@ -195,7 +195,7 @@ impl Zones<'_> {
 }
 
 /// One line below the chart: what colours and marks mean.
-fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>) -> Result<(), String>
+fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>) -> Result<(), DrawError>
 where
     B::ErrorType: 'static,
 {

@@ -16,7 +16,7 @@ use nix::sys::time::TimeSpec;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tendon_transport::{SessionName, now_ns};
 
-use crate::orders::{MAXIMUM_LINE_LENGTH, Order, OrderSocket};
+use crate::orders::{Asker, MAXIMUM_LINE_LENGTH, Order, OrderSocket};
 
 /// Why a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +40,7 @@ pub struct Control {
     /// Orders that came while nobody could obey them.
     kept: VecDeque<Order>,
     socket: Option<OrderSocket>,
+    is_abandoned: bool,
 }
 
 impl Control {
@@ -62,6 +63,7 @@ impl Control {
             line: Vec::with_capacity(MAXIMUM_LINE_LENGTH),
             kept: VecDeque::new(),
             socket: None,
+            is_abandoned: false,
         })
     }
 
@@ -80,11 +82,21 @@ impl Control {
         self.kept.extend(orders);
     }
 
-    /// Tells who gave the newest order by the socket what came of it. The supervisor reads it in the state.
-    pub fn answer(&mut self, text: &str) {
+    /// Who gave the newest order by the socket, and waits for an answer. The supervisor reads it in the state.
+    pub fn take_asker(&mut self) -> Option<Asker> {
+        self.socket.as_mut()?.take_asker()
+    }
+
+    /// Tells somebody what came of an order.
+    pub fn answer(&mut self, asker: &Asker, text: &str) {
         if let Some(socket) = &mut self.socket {
-            socket.answer(text);
+            socket.answer(asker, text);
         }
+    }
+
+    /// Whether standard input came to its end: the supervisor is gone, by whatever cause.
+    pub fn is_abandoned(&self) -> bool {
+        self.is_abandoned
     }
 
     /// Set when the process is to stop; shared with whatever may have to give up waiting for it.
@@ -167,7 +179,10 @@ impl Control {
         let mut bytes = [0; MAXIMUM_LINE_LENGTH];
         let room = MAXIMUM_LINE_LENGTH - self.line.len();
         match nix::unistd::read(std::io::stdin().as_fd(), &mut bytes[..room]) {
-            Ok(0) => self.stop.store(true, Ordering::Relaxed),
+            Ok(0) => {
+                self.is_abandoned = true;
+                self.stop.store(true, Ordering::Relaxed);
+            }
             Ok(count) => self.line.extend_from_slice(&bytes[..count]),
             Err(Errno::EINTR | Errno::EAGAIN) => {}
             Err(error) => return Err(error).context("cannot read orders from standard input"),

@@ -31,7 +31,7 @@ use tendon_transport::{Delivery, Element, Received, Session, Subscriber, now_ns}
 pub use allocations::allocations;
 pub use control::{Control, Wake};
 pub use measure::{BATCH_LENGTH, Measurements};
-pub use orders::{Order, OrderError, order_robot};
+pub use orders::{Asker, Order, OrderError, order_robot};
 pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 
 /// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older

@@ -73,6 +73,8 @@ pub(crate) const MAXIMUM_LINE_LENGTH: usize = 256;
 
 /// How long the robot may take to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+/// The same for [`Order::Arm`], which is answered once the arm is up or has failed to come up.
+const ARM_ANSWER_TIMEOUT: Duration = Duration::from_secs(13);
 
 /// Why an order did not arrive.
 #[derive(Debug, thiserror::Error)]
@@ -158,6 +160,10 @@ impl Socket {
     }
 }
 
+/// Somebody who waits for an answer.
+#[derive(Debug)]
+pub struct Asker(UnixAddr);
+
 /// The robot's end.
 #[derive(Debug)]
 pub(crate) struct OrderSocket {
@@ -197,12 +203,15 @@ impl OrderSocket {
         }
     }
 
-    /// Tells who gave the newest order what came of it.
-    pub(crate) fn answer(&mut self, text: &str) {
-        if let Some(asker) = self.asker.take() {
-            // One that is gone, or does not read, needs no answer.
-            let _ = self.socket.send(text, &asker);
-        }
+    /// Who gave the newest order, and waits for an answer.
+    pub(crate) fn take_asker(&mut self) -> Option<Asker> {
+        self.asker.take().map(Asker)
+    }
+
+    /// Tells somebody what came of an order.
+    pub(crate) fn answer(&mut self, asker: &Asker, text: &str) {
+        // One that is gone, or does not read, needs no answer.
+        let _ = self.socket.send(text, &asker.0);
     }
 }
 
@@ -251,7 +260,8 @@ pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Re
     let system = |error: Errno| failed(error.into());
     let to = UnixAddr::new_abstract(listening_name(user, session).as_bytes()).map_err(system)?;
     let socket = UnixDatagram::unbound().map_err(failed)?;
-    socket.set_read_timeout(Some(ANSWER_TIMEOUT)).map_err(failed)?;
+    let timeout = if order == Order::Arm { ARM_ANSWER_TIMEOUT } else { ANSWER_TIMEOUT };
+    socket.set_read_timeout(Some(timeout)).map_err(failed)?;
     let mut own = Socket::new(socket).map_err(failed)?;
     match own.send(&order.line(), &to) {
         Ok(_) => {}
@@ -262,7 +272,7 @@ pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Re
     }
     let asked = Instant::now();
     let mut answer = [0; MAXIMUM_LINE_LENGTH];
-    while asked.elapsed() < ANSWER_TIMEOUT {
+    while asked.elapsed() < timeout {
         match own.receive(&mut answer) {
             // Whoever else listens at that name cannot say that the arm is stopped.
             Ok(datagram) if datagram.user == user => {
@@ -312,7 +322,8 @@ mod tests {
             std::thread::yield_now();
         };
         assert_eq!(order, Order::Stop);
-        robot.answer("stopped");
+        let asker = robot.take_asker().unwrap();
+        robot.answer(&asker, "stopped");
         assert_eq!(asked.join().unwrap().unwrap(), "stopped");
         // One that hangs fills its queue, and nobody waits for ever.
         for _ in 0..20 {

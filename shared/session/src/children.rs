@@ -143,8 +143,8 @@ impl Running {
 
 impl Children {
     /// Starts all stages, which lie beside this program, on this configuration; instead of the acquisition there, the
-    /// program that the configuration names. What they say comes as `events`, what they write to standard error goes to `standard_error`. With `arm_stays` the robot is started as after the end of
-    /// another.
+    /// program that the configuration names. What they say comes as `events`, what they write to standard error goes to
+    /// `standard_error`.
     ///
     /// # Errors
     ///
@@ -154,7 +154,6 @@ impl Children {
         events: &Sender<Event>,
         robot: &RobotLine,
         standard_error: &Writer,
-        arm_stays: bool,
     ) -> Result<Children, ChildrenError> {
         let program = std::env::current_exe().map_err(ChildrenError::OwnFolder)?;
         let folder = program.parent().map(ToOwned::to_owned).unwrap_or_default();
@@ -169,7 +168,7 @@ impl Children {
             running: Vec::new(),
         };
         for stage in Stage::ALL {
-            children.start_stage(stage, arm_stays && stage == Stage::Robot)?;
+            children.start_stage(stage, false)?;
         }
         Ok(children)
     }

@@ -133,13 +133,10 @@ pub struct Watch<'a> {
     own_cpu_before_s: f64,
     /// When the recording was over.
     finished: Option<Instant>,
-    /// Whether the robot process ended as it should, after it had stopped the arm.
-    robot_obeyed: bool,
 }
 
 impl<'a> Watch<'a> {
-    /// Starts the stages. `robot`, `sender` and `events` are those that keys and signals were given. With `arm_stays` the
-    /// robot leaves the arm where it is until it is armed.
+    /// Starts the stages. `robot`, `sender` and `events` are those that keys and signals were given.
     ///
     /// # Errors
     ///
@@ -150,9 +147,8 @@ impl<'a> Watch<'a> {
         (sender, events): (&Sender<Event>, Receiver<Event>),
         observer: Observer,
         standard_error: &Writer,
-        arm_stays: bool,
     ) -> Result<Watch<'a>, ChildrenError> {
-        let children = Children::start(config, sender, robot, standard_error, arm_stays)?;
+        let children = Children::start(config, sender, robot, standard_error)?;
         Ok(Watch {
             config,
             events,
@@ -168,7 +164,6 @@ impl<'a> Watch<'a> {
             cpu_before_s: BTreeMap::new(),
             own_cpu_before_s: 0.0,
             finished: None,
-            robot_obeyed: false,
         })
     }
 
@@ -250,14 +245,12 @@ impl<'a> Watch<'a> {
         let before = self.observer.gather(&mut on_state);
         self.observer.ending();
         let Watch { children, events, observer, .. } = self;
-        let runs = children.process_id(Stage::Robot).is_some();
         // An observer that fails is no reason to leave a stage running.
         let killed = children.stop(events, || drop(observer.gather(&mut on_state)));
         let gathered = before.and(observer.gather(&mut on_state));
         let result = match killed {
             Err(error) => Err(error.into()),
             Ok(killed) => {
-                self.robot_obeyed |= runs && !killed.contains(&Stage::Robot.name());
                 if killed.is_empty() {
                     gathered.map_err(SessionFailure::from)
                 } else {
@@ -293,11 +286,6 @@ impl<'a> Watch<'a> {
         self.restarts.len() as u64
     }
 
-    /// Whether the robot process ended as it should, after it had stopped the arm.
-    pub fn robot_obeyed(&self) -> bool {
-        self.robot_obeyed
-    }
-
     /// Gives an order to a stage.
     pub fn order(&mut self, stage: Stage, order: Order) {
         self.children.order(stage, order);
@@ -322,9 +310,6 @@ impl<'a> Watch<'a> {
     /// A stage ended that is not started again: a fault, unless somebody said stop.
     fn ended(&mut self, stage: Stage, at_start: bool) -> Result<Turn, SessionFailure> {
         let status = self.children.reap(stage)?;
-        // A robot process that says how it ended has stopped the arm before.
-        let says = status.is_some_and(|status| matches!(status.code(), Some(0..=2)));
-        self.robot_obeyed |= stage == Stage::Robot && says;
         match status {
             Some(status) if !self.robot.is_ending() => {
                 if at_start {

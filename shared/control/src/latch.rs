@@ -3,11 +3,11 @@
 //! ```text
 //!                       windows that say rest
 //! start ──▶ await rest ─────────────────────────▶ granted
-//!              ▲    ▲ no commands, supervisor silent, process stalled │
-//!     arm order│    └─────────────────────────────────────────────────┤
-//!              │                                                      │ order, arm error, limit, end of a stage
-//! start ──▶ stopped ◀─────────────────────────────────────────────────┘
-//! (after a process that did not end in good order)
+//!              ▲    ▲ no commands, supervisor or arm silent, stall │
+//!     arm order│    └──────────────────────────────────────────────┤
+//!              │                                                   │ order, arm error, limit, end of a stage
+//! start ──▶ stopped ◀──────────────────────────────────────────────┘
+//! (not left in good order, or far from the start position)
 //! ```
 //!
 //! Whatever interrupted a motion, the arm does not move again before the person has been at rest: the muscles may
@@ -20,11 +20,11 @@ use crate::arm::Stop;
 
 /// Windows in a row that must say rest. One alone may be a mistake of the classifier, or the first of a signal chain
 /// that began anew and does not know better yet.
-const REST_WINDOWS: u32 = 3;
+pub(crate) const REST_WINDOWS: u32 = 3;
 
 /// The permission to move, and why there is none.
 #[derive(Clone, Copy, Debug)]
-pub struct Latch {
+pub(crate) struct Latch {
     permission: Permission,
     stop: Option<Stop>,
     /// Windows in a row that said rest.
@@ -54,25 +54,38 @@ impl Latch {
         self.permission == Permission::Granted
     }
 
+    /// Windows are missing: those before say nothing about now, and the count of rests begins anew.
+    pub fn break_row(&mut self) {
+        self.rests = 0;
+    }
+
     /// Nothing moves before [`Latch::arm`]. The first reason stays, but for one that says less than what follows: what
-    /// the arm itself tells.
+    /// the arm itself says.
     pub fn stop(&mut self, stop: Stop) {
-        let says_little = |stop: Stop| matches!(stop.reason, StopReason::NotReady | StopReason::StageEnded);
-        let says_more = self.stop.is_some_and(says_little)
+        use StopReason::{NotReady, StageEnded, TakenOver, VelocityRefused};
+        let says_little =
+            |stop: Stop| matches!(stop.reason, NotReady | StageEnded | TakenOver | VelocityRefused);
+        let says_more = self.stop.is_none_or(says_little)
             && matches!(stop.reason, StopReason::ArmFault | StopReason::ConnectionBroke);
-        if self.permission != Permission::Stopped || says_more {
+        if self.permission != Permission::Stopped || self.stop.is_none() || says_more {
             *self = Latch { permission: Permission::Stopped, stop: Some(stop), rests: 0, ..*self };
         }
     }
 
     /// Nothing moves before the person has been at rest.
     pub fn interrupt(&mut self, reason: StopReason) {
+        self.rests = 0;
         if self.permission == Permission::Granted {
             *self = Latch { stop: Some(Stop::because(reason)), ..Latch::new(self.needs_calibration) };
         }
     }
 
-    /// Motion is wanted again: it is granted with the next rest.
+    /// Motion is wanted again; it is not to be had before the arm is up.
+    pub fn forget_reason(&mut self) {
+        self.stop = None;
+    }
+
+    /// The arm is up again: it moves with the next rest.
     pub fn arm(&mut self) {
         *self = Latch::new(self.needs_calibration);
     }
@@ -146,7 +159,7 @@ mod tests {
     fn a_stop_ends_with_an_arm_order_and_a_rest_only() {
         let mut latch = rested(Latch::new(false));
         latch.stop(Stop::because(StopReason::NotReady));
-        let fault = Stop { reason: StopReason::ArmFault, fault_code: 31 };
+        let fault = Stop::by_fault(31);
         latch.stop(fault);
         latch.stop(Stop::because(StopReason::Ordered));
         latch.interrupt(StopReason::NoCommands);

@@ -1,0 +1,65 @@
+//! What `tendon arm` is answered.
+
+use tendon_messages::StopReason;
+
+use crate::arm::Stop;
+
+/// What came of an order to permit motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ArmAnswer {
+    /// The arm was brought up.
+    Armed,
+    /// It was armed before, and waits for a rest.
+    AwaitsRest,
+    /// It was armed before, and follows commands.
+    AlreadyArmed,
+    /// It is on the way to its start position.
+    GoingToStart,
+    /// It is being brought up, by an order before or at the start.
+    BringingUp,
+    /// There is no connection to it.
+    NotConnected,
+    /// The supervisor is silent, so nothing is to move.
+    SupervisorSilent,
+    /// It did not come up, or was stopped meanwhile.
+    Failed(Stop),
+    /// It did not come up in time.
+    TooSlow,
+}
+
+impl ArmAnswer {
+    /// Whether the arm is armed now, or will be by itself.
+    pub fn is_success(self) -> bool {
+        use ArmAnswer::{AlreadyArmed, Armed, AwaitsRest, BringingUp, GoingToStart};
+        matches!(self, Armed | AwaitsRest | AlreadyArmed | GoingToStart | BringingUp)
+    }
+
+    /// The answer as a sentence; `words` says why the arm stopped and what to do.
+    pub fn text(self, words: impl Fn(Stop) -> String) -> String {
+        match self {
+            ArmAnswer::Armed => "armed: the arm moves once the muscles have been at rest".to_owned(),
+            ArmAnswer::AwaitsRest => {
+                "already armed: the arm moves once the muscles have been at rest".to_owned()
+            }
+            ArmAnswer::AlreadyArmed => "already armed: the arm follows commands".to_owned(),
+            ArmAnswer::GoingToStart => {
+                "armed: the arm goes to its start position, then moves once the muscles have been at rest"
+                    .to_owned()
+            }
+            ArmAnswer::BringingUp => {
+                "the arm is being brought up: wait, or stop it with `tendon stop`".to_owned()
+            }
+            ArmAnswer::NotConnected => {
+                format!("not armed: {}", words(Stop::because(StopReason::ConnectionBroke)))
+            }
+            ArmAnswer::SupervisorSilent => {
+                format!("not armed: {}", words(Stop::because(StopReason::SupervisorSilent)))
+            }
+            ArmAnswer::Failed(stop) => format!("not armed: {}", words(stop)),
+            ArmAnswer::TooSlow => {
+                "not armed: the arm was not brought up in time; look at its control box, then try again"
+                    .to_owned()
+            }
+        }
+    }
+}

@@ -1,0 +1,588 @@
+//! The robot's policy: from commands, orders and the arm's reports to what the arm is told.
+//!
+//! ```text
+//! connecting ─▶ departing ─▶ enabling joints ─▶ going to start ─▶ enabling flange ─▶ following
+//!     │            │ no record, far …  │               │               │ ▲              │
+//!     │            ▼                   ▼               ▼               ▼ │ tendon arm   ▼
+//!     └────────▶ waiting ◀──────── any stop: order, error, guard, silence, end of a stage
+//! ```
+
+use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Obstacle, Twist, XArm7};
+use tendon_messages::{
+    ArmPhase, CommandHeader, Hindrance, Permission, STATE_LENGTH, StateHeader, StopReason, TWIST_LENGTH,
+    Trace,
+};
+
+use crate::answer::ArmAnswer;
+use crate::arm::{Arm, ArmReport, Drive, Link, Stop};
+use crate::gripper::Gripper;
+use crate::latch::Latch;
+use crate::start::{Departure, Start};
+
+/// After so long without a word from the supervisor it is taken to hang, ns: four of its heartbeats.
+const SUPERVISOR_SILENCE_NS: u64 = 120_000_000;
+/// After so long without a sign of life from the arm it is brought to rest, ns.
+const ARM_SILENCE_NS: u64 = 300_000_000;
+/// After so long without a sign of life from the arm the connection counts as broken, ns.
+const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
+/// How long the arm may take to connect, ns.
+const CONNECT_TIMEOUT_NS: u64 = 10_000_000_000;
+/// How long the arm may take to be brought up after an order, ns.
+const BRING_UP_TIMEOUT_NS: u64 = 11_000_000_000;
+
+/// What the controller needs to know.
+#[derive(Clone, Debug)]
+pub struct ControlSettings {
+    /// Limits, start position and watchdog.
+    pub arm: ArmSettings,
+    /// Whether there is a gripper.
+    pub has_gripper: bool,
+    /// Greatest speed of a joint on the way to the start position, rad/s.
+    pub start_speed_rad_per_s: f64,
+    /// Whether rest is known only once the activity detector is calibrated.
+    pub needs_calibration: bool,
+    /// Samples from one window to the next.
+    pub increment_samples: u64,
+    /// A command whose newest sample is older than this, in ns, is not acted on, and a controller that stood still for
+    /// longer does not go on where it was. `None` in a lossless replay, whose time is that of the samples.
+    pub stale_ns: Option<u64>,
+}
+
+/// What became of a command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Taken {
+    /// It was in time.
+    Fresh,
+    /// It was too old, and was not acted on.
+    Stale,
+}
+
+/// What is published of the arm.
+#[derive(Clone, Copy, Debug)]
+pub struct State {
+    /// The header; its trace is that of the last command acted on.
+    pub header: StateHeader,
+    /// See [`STATE_LENGTH`].
+    pub payload: [f32; STATE_LENGTH],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    Connecting,
+    /// Connected; how the arm was left decides whether it sets out.
+    Departing,
+    EnablingJoints,
+    /// The fastest joint has this speed, rad/s.
+    GoingToStart(f64),
+    EnablingFlange,
+    Following,
+    Waiting,
+}
+
+/// Somebody who ordered to arm waits for what comes of it.
+#[derive(Clone, Copy, Debug)]
+struct Asked {
+    deadline_ns: u64,
+}
+
+/// Decides when the arm moves.
+pub struct Controller {
+    arm: Box<dyn Arm>,
+    settings: ControlSettings,
+    kinematics: XArm7,
+    latch: Latch,
+    guard: Guard,
+    gripper: Gripper,
+    start: Start,
+    phase: Phase,
+    /// Why the arm could not be reached.
+    failure: Option<Stop>,
+    /// Whether it has followed commands in this session.
+    has_followed: bool,
+    connecting_since_ns: Option<u64>,
+    /// When the supervisor was last heard; `None` without one.
+    supervisor_heard_ns: Option<u64>,
+    /// When this was last called.
+    woke_ns: Option<u64>,
+    /// Sequence number of the newest command, and the first sample of its window.
+    newest_command: Option<(u64, u64)>,
+    asked: Option<Asked>,
+    answer: Option<ArmAnswer>,
+    /// Of the last command acted on.
+    header: StateHeader,
+}
+
+impl Controller {
+    /// A controller of an arm that begins to connect. It goes to its start position by itself if how it was left
+    /// permits that ([`Controller::depart`]), or waits for [`Controller::order_arm`] from the beginning because of
+    /// `stopped`.
+    pub fn new(arm: Box<dyn Arm>, settings: ControlSettings, stopped: Option<StopReason>) -> Controller {
+        let mut latch = Latch::new(settings.needs_calibration);
+        if let Some(reason) = stopped {
+            latch.stop(Stop::because(reason));
+        }
+        Controller {
+            arm,
+            kinematics: XArm7::new(),
+            latch,
+            guard: Guard::new(&settings.arm),
+            gripper: Gripper::new(&settings.arm),
+            start: Start::new(&settings.arm, settings.start_speed_rad_per_s),
+            phase: Phase::Connecting,
+            failure: None,
+            has_followed: false,
+            connecting_since_ns: None,
+            supervisor_heard_ns: None,
+            woke_ns: None,
+            newest_command: None,
+            asked: None,
+            answer: None,
+            header: StateHeader::default(),
+            settings,
+        }
+    }
+
+    /// What a user may want to know of the arm.
+    pub fn description(&self) -> String {
+        self.arm.description()
+    }
+
+    /// By what the arm is told apart from others; see [`Arm::key`].
+    pub fn key(&self) -> String {
+        self.arm.key()
+    }
+
+    /// Why the arm stopped, in its own words.
+    pub fn explanation(&self) -> Option<String> {
+        self.arm.explanation()
+    }
+
+    /// Whether the arm is where it waits for something that only the rest of the session can give: commands, or an
+    /// order to arm.
+    pub fn is_ready(&self) -> bool {
+        matches!(self.phase, Phase::Following | Phase::Waiting)
+    }
+
+    /// Why the arm could not be reached at all, after which there is nothing to wait for.
+    pub fn failure(&self) -> Option<Stop> {
+        self.failure.filter(|_| self.phase == Phase::Connecting)
+    }
+
+    /// Whether the arm would set out for its start position now if it was left in good order: the time to read, and
+    /// remove, the record of that, and to call [`Controller::depart`].
+    pub fn wants_departure(&self, now_ns: u64) -> bool {
+        self.phase == Phase::Departing
+            && self.supervisor_heard_ns.is_some()
+            && !self.is_supervisor_silent(now_ns)
+    }
+
+    /// Whether everything is as it should be: the arm follows commands, or would after a rest, and has no error.
+    pub fn is_in_good_order(&self) -> bool {
+        let report = self.arm.report();
+        self.phase == Phase::Following
+            && self.latch.permission() != Permission::Stopped
+            && report.error_code.is_none()
+            && report.stop.is_none()
+    }
+
+    /// Lets the arm come to rest after [`Controller::end`]. Returns its joint angles in rad; `None` if it is no longer in
+    /// good order.
+    pub fn at_the_end(&mut self, now_ns: u64) -> Option<JointVector> {
+        self.arm.tick(now_ns);
+        let report = self.arm.report();
+        let is_well = report.error_code.is_none()
+            && report.link != Link::Connecting
+            && report.silent_ns < ARM_SILENCE_NS
+            && report.stop.is_none_or(|stop| stop.reason == StopReason::Ordered);
+        report.joints_rad.filter(|_| is_well)
+    }
+
+    /// Whether nothing moves and nothing is told to.
+    pub fn is_still(&self) -> bool {
+        self.is_ready() && self.arm.is_still()
+    }
+
+    /// See [`Arm::command_to_wire_ns`].
+    pub fn command_to_wire_ns(&mut self) -> Option<u64> {
+        self.arm.command_to_wire_ns()
+    }
+
+    /// What came of an order to arm, once.
+    pub fn take_answer(&mut self) -> Option<ArmAnswer> {
+        self.answer.take()
+    }
+
+    /// The supervisor said that it is there.
+    pub fn hear_supervisor(&mut self, now_ns: u64) {
+        self.supervisor_heard_ns = Some(now_ns);
+    }
+
+    /// Somebody ordered the arm to stop.
+    pub fn order_stop(&mut self) {
+        self.stop(Stop::because(StopReason::Ordered));
+    }
+
+    /// Another stage ended: its successor begins anew.
+    pub fn stage_ended(&mut self) {
+        self.newest_command = None;
+        self.gripper.counts_anew();
+        self.stop(Stop::because(StopReason::StageEnded));
+    }
+
+    /// The session ends: stops the arm for good.
+    pub fn end(&mut self) {
+        self.arm.stop();
+        self.gripper.stopped();
+    }
+
+    /// Somebody ordered to permit motion again. [`Controller::take_answer`] tells what came of it, at once or once the
+    /// arm is up.
+    ///
+    /// An arm that waits because its start position is far away goes there; any other follows from where it is.
+    pub fn order_arm(&mut self, now_ns: u64) {
+        self.notice_stall(now_ns);
+        let report = self.arm.report();
+        let answer = match (self.phase, self.latch.permission()) {
+            (Phase::Following, Permission::Granted) => ArmAnswer::AlreadyArmed,
+            (Phase::Following, _) => ArmAnswer::AwaitsRest,
+            // Somebody asked before: both are told what comes of it.
+            _ if self.asked.is_some() => return,
+            (Phase::EnablingJoints | Phase::GoingToStart(_), _) => ArmAnswer::GoingToStart,
+            (Phase::EnablingFlange, _) => ArmAnswer::BringingUp,
+            _ if report.link == Link::Connecting => ArmAnswer::NotConnected,
+            _ if self.is_supervisor_silent(now_ns) => ArmAnswer::SupervisorSilent,
+            _ => {
+                let goes_to_start =
+                    self.latch.reason() == Some(Stop::because(StopReason::StartIsFar)) && !self.has_followed;
+                self.latch.stop(Stop::because(StopReason::Ordered));
+                self.latch.forget_reason();
+                self.asked = Some(Asked { deadline_ns: now_ns + BRING_UP_TIMEOUT_NS });
+                let drive = if goes_to_start { Drive::Joints } else { Drive::Flange };
+                self.bring_up(drive, true, now_ns);
+                return;
+            }
+        };
+        self.answer = Some(answer);
+    }
+
+    /// Lets the arm set out for its start position if how it was left permits it. Else it waits.
+    pub fn depart(&mut self, departure: Departure, now_ns: u64) {
+        let report = self.arm.report();
+        if let (Phase::Departing, Some(joints_rad)) = (self.phase, report.joints_rad) {
+            let limits = self.arm.joint_limits();
+            let permitted = match report.error_code {
+                Some(code) => Err(Stop::by_fault(code)),
+                None => self.start.permit(departure, &joints_rad, &limits).map_err(Stop::because),
+            };
+            match permitted {
+                Ok(()) if self.start.is_at(&joints_rad) => self.bring_up(Drive::Flange, false, now_ns),
+                Ok(()) => self.bring_up(Drive::Joints, false, now_ns),
+                Err(stop) => self.wait(stop),
+            }
+        }
+    }
+
+    fn bring_up(&mut self, drive: Drive, acknowledges_error: bool, now_ns: u64) {
+        self.guard.reset();
+        self.arm.bring_up(drive, acknowledges_error, now_ns);
+        self.phase = match drive {
+            Drive::Joints => Phase::EnablingJoints,
+            Drive::Flange => Phase::EnablingFlange,
+        };
+    }
+
+    fn stop(&mut self, stop: Stop) {
+        self.arm.stop();
+        self.wait(stop);
+    }
+
+    /// The arm stays where it is until it is armed.
+    fn wait(&mut self, stop: Stop) {
+        self.gripper.stopped();
+        self.latch.stop(stop);
+        if self.phase != Phase::Connecting {
+            self.phase = Phase::Waiting;
+        }
+        if self.asked.take().is_some() {
+            self.answer = Some(ArmAnswer::Failed(self.latch.reason().unwrap_or(stop)));
+        }
+    }
+
+    /// The arm comes to rest, and moves again after a rest of the person.
+    fn interrupt(&mut self, reason: StopReason) {
+        if self.latch.permission() == Permission::Granted {
+            self.arm.rest();
+        }
+        self.latch.interrupt(reason);
+    }
+
+    fn is_supervisor_silent(&self, now_ns: u64) -> bool {
+        self.settings.stale_ns.is_some()
+            && self
+                .supervisor_heard_ns
+                .is_some_and(|heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS)
+    }
+
+    /// A controller that stood still while its arm moved must not go on where it was: the arm has come to rest.
+    fn notice_stall(&mut self, now_ns: u64) {
+        let woke_ns = self.woke_ns.replace(now_ns).unwrap_or(now_ns);
+        if self.settings.stale_ns.is_none_or(|stale_ns| now_ns.saturating_sub(woke_ns) <= stale_ns) {
+            return;
+        }
+        self.latch.break_row();
+        if let Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange = self.phase {
+            self.stop(Stop::because(StopReason::RobotStalled));
+        } else if !self.arm.is_still() {
+            self.arm.stalled();
+            self.latch.interrupt(StopReason::RobotStalled);
+        }
+    }
+
+    /// Lets the arm move, and looks after it.
+    pub fn tick(&mut self, now_ns: u64) {
+        self.notice_stall(now_ns);
+        self.arm.tick(now_ns);
+        let report = self.arm.report();
+        match self.phase {
+            Phase::Connecting => self.connect(&report, now_ns),
+            Phase::Departing => self.look_at_link(&report),
+            Phase::Waiting => {
+                // An error that comes later may say why the arm stopped.
+                if let Some(stop) = report.stop {
+                    self.latch.stop(stop);
+                }
+            }
+            Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange | Phase::Following => {
+                self.look_at_link(&report);
+                self.watch(&report, now_ns);
+                self.go_on(&report, now_ns);
+            }
+        }
+        if self.asked.is_some_and(|asked| now_ns >= asked.deadline_ns) {
+            self.asked = None;
+            self.stop(Stop::because(StopReason::NotReady));
+            self.answer = Some(ArmAnswer::TooSlow);
+        }
+    }
+
+    fn connect(&mut self, report: &ArmReport, now_ns: u64) {
+        let since_ns = *self.connecting_since_ns.get_or_insert(now_ns);
+        if let Some(joints_rad) = report.joints_rad.filter(|_| report.link != Link::Connecting) {
+            let limits = self.arm.joint_limits();
+            self.guard.set_joint_limits(limits);
+            self.header.start_distance_mm = self.start.distance_mm(&joints_rad) as f32;
+            self.phase = match report.link {
+                _ if self.latch.permission() == Permission::Stopped => Phase::Waiting,
+                Link::Up(_) => Phase::Following,
+                _ => Phase::Departing,
+            };
+            self.has_followed |= self.phase == Phase::Following;
+            return;
+        }
+        let is_late =
+            self.settings.stale_ns.is_some() && now_ns.saturating_sub(since_ns) > CONNECT_TIMEOUT_NS;
+        // That there is no connection yet is no reason; that the arm is none of ours is one.
+        let refused = report.stop.filter(|stop| stop.reason == StopReason::UnsupportedArm);
+        if let Some(stop) = refused.or(is_late.then_some(Stop::because(StopReason::ConnectionBroke))) {
+            self.latch.stop(stop);
+            self.failure = self.failure.or(Some(stop));
+        }
+    }
+
+    fn look_at_link(&mut self, report: &ArmReport) {
+        if let Some(stop) = report.stop {
+            self.stop(stop);
+        } else if report.link == Link::Connecting {
+            self.stop(Stop::because(StopReason::ConnectionBroke));
+        }
+    }
+
+    /// Everything that must hold while the arm is up, wherever it goes.
+    fn watch(&mut self, report: &ArmReport, now_ns: u64) {
+        if self.phase == Phase::Waiting {
+            return;
+        }
+        let is_by_itself = self.phase != Phase::Following;
+        if self.is_supervisor_silent(now_ns) {
+            if is_by_itself {
+                return self.stop(Stop::because(StopReason::SupervisorSilent));
+            }
+            self.interrupt(StopReason::SupervisorSilent);
+        }
+        let is_moving_phase = matches!(self.phase, Phase::GoingToStart(_) | Phase::Following);
+        if is_moving_phase && report.silent_ns > CONNECTION_SILENCE_NS {
+            return self.stop(Stop::because(StopReason::ConnectionBroke));
+        }
+        if is_moving_phase && report.silent_ns > ARM_SILENCE_NS {
+            if is_by_itself {
+                return self.stop(Stop::because(StopReason::ArmSilent));
+            }
+            self.interrupt(StopReason::ArmSilent);
+        }
+        if let Some(joints_rad) = report.joints_rad {
+            let goes = matches!(self.phase, Phase::GoingToStart(_));
+            let is_at_rest = !goes && report.is_commanded_to_rest;
+            if let Err(violation) = self.guard.check(now_ns, &joints_rad, is_at_rest) {
+                return self.stop(Stop::because(reason_of(violation)));
+            }
+        }
+        // It stays so until the next command that the arm is given: a reason once, and not again and again.
+        if report.halted_by_watchdog && self.latch.permission() == Permission::Granted {
+            self.latch.interrupt(StopReason::NoCommands);
+        }
+    }
+
+    /// The next step of what the arm does by itself.
+    fn go_on(&mut self, report: &ArmReport, now_ns: u64) {
+        let Some(joints_rad) = report.joints_rad else { return };
+        self.header.start_distance_mm = self.start.distance_mm(&joints_rad) as f32;
+        match (self.phase, report.link) {
+            (Phase::EnablingJoints, Link::Up(Drive::Joints)) => {
+                self.phase = Phase::GoingToStart(0.0);
+                if self.asked.take().is_some() {
+                    self.answer = Some(ArmAnswer::GoingToStart);
+                }
+            }
+            (Phase::GoingToStart(_), _) if self.start.is_at(&joints_rad) => {
+                self.arm.follow_joints(&JointVector::zeros());
+                // An error that comes now is nobody's to clear.
+                self.bring_up(Drive::Flange, false, now_ns);
+            }
+            (Phase::GoingToStart(speed_rad_per_s), _) => {
+                let (speed_rad_per_s, velocities) = self.start.step(&joints_rad, speed_rad_per_s);
+                self.arm.follow_joints(&velocities);
+                self.phase = Phase::GoingToStart(speed_rad_per_s);
+            }
+            (Phase::EnablingFlange, Link::Up(Drive::Flange)) => {
+                self.phase = Phase::Following;
+                self.has_followed = true;
+                self.latch.arm();
+                if self.asked.take().is_some() {
+                    self.answer = Some(ArmAnswer::Armed);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes a command that has come, with its twist in mm/s and rad/s. `now_ns` is the time of the samples in a
+    /// lossless replay.
+    pub fn take(&mut self, header: &CommandHeader, twist: &[f32; TWIST_LENGTH], now_ns: u64) -> Taken {
+        let CommandHeader { trace, context, .. } = *header;
+        if let Some((sequence, first_sample)) =
+            self.newest_command.replace((trace.sequence, context.first_sample))
+        {
+            if trace.sequence <= sequence {
+                // From a decision process that began anew, whoever started it.
+                self.gripper.counts_anew();
+                self.stop(Stop::because(StopReason::StageEnded));
+            }
+            let is_next = trace.sequence == sequence.wrapping_add(1);
+            if !(is_next && context.first_sample == first_sample + self.settings.increment_samples) {
+                self.latch.break_row();
+            }
+        }
+        if self.settings.stale_ns.is_some_and(|stale_ns| now_ns.saturating_sub(trace.captured_ns) > stale_ns)
+        {
+            self.latch.break_row();
+            return Taken::Stale;
+        }
+        self.tick(now_ns);
+        let is_permitted = self.phase == Phase::Following && self.latch.admits(header);
+        if is_permitted {
+            self.follow(twist, now_ns);
+        }
+        let reported_pulses = self.arm.report().gripper_pulses;
+        let pulses = self.gripper.take(header.gripper_toggles, is_permitted, reported_pulses);
+        if let Some(pulses) = pulses.filter(|_| self.settings.has_gripper) {
+            self.arm.move_gripper(pulses, now_ns);
+        }
+        self.header = StateHeader {
+            trace: Trace { sequence: 0, ..trace },
+            gesture: header.voted,
+            confidence: header.confidence,
+            calibration_left_ms: if self.settings.needs_calibration {
+                context.calibration_left_ms
+            } else {
+                0
+            },
+            ..self.header
+        };
+        Taken::Fresh
+    }
+
+    fn follow(&mut self, twist: &[f32; TWIST_LENGTH], now_ns: u64) {
+        let [x, y, z, about_x, about_y, about_z] = twist.map(f64::from);
+        let twist = Twist { linear_mm_per_s: [x, y, z], angular_rad_per_s: [about_x, about_y, about_z] };
+        if self.arm.command(twist, now_ns).is_err() {
+            // It is taken as rest; a decision process that sends such is not to be followed.
+            self.stop(Stop::because(StopReason::NoCommands));
+        }
+    }
+
+    /// Where the arm is, whether it may move, and why not.
+    pub fn state(&self) -> State {
+        let report = self.arm.report();
+        let stop = self.latch.reason();
+        let is_before = !(self.has_followed || self.phase == Phase::Connecting);
+        let follows = self.phase == Phase::Following && self.latch.permission() == Permission::Granted;
+        let obstacle = report.obstacle.filter(|_| follows);
+        let header = StateHeader {
+            speed_mm_per_s: report.speed_mm_per_s as f32,
+            gripper_position: report
+                .gripper_pulses
+                .filter(|_| self.settings.has_gripper)
+                .map_or(f32::NAN, |pulses| pulses as f32),
+            permission: self.latch.permission() as u8,
+            stop_reason: stop.map_or(0, |stop| stop.reason as u8),
+            fault_code: stop.map_or(0, |stop| stop.fault_code),
+            arm_phase: self.arm_phase() as u8,
+            hindrance: obstacle.map_or(0, |obstacle| hindrance_of(obstacle).number()),
+            start_distance_mm: if is_before { self.header.start_distance_mm } else { 0.0 },
+            ..self.header
+        };
+        let mut payload = [0.0; STATE_LENGTH];
+        if let Some(joints_rad) = report.joints_rad {
+            let pose = self.kinematics.flange_pose_m(&joints_rad);
+            let (roll, pitch, yaw) = pose.rotation.euler_angles();
+            let position_mm = pose.translation.vector * 1e3;
+            let components = joints_rad.iter().chain(&position_mm).copied().chain([roll, pitch, yaw]);
+            for (component, value) in payload.iter_mut().zip(components) {
+                *component = value as f32;
+            }
+        }
+        State { header, payload }
+    }
+
+    fn arm_phase(&self) -> ArmPhase {
+        match self.phase {
+            Phase::Connecting => ArmPhase::Connecting,
+            Phase::EnablingJoints | Phase::EnablingFlange => ArmPhase::BringingUp,
+            Phase::GoingToStart(_) => ArmPhase::GoingToStart,
+            Phase::Following => ArmPhase::Following,
+            Phase::Departing | Phase::Waiting => ArmPhase::Waiting,
+        }
+    }
+}
+
+fn reason_of(violation: LimitViolation) -> StopReason {
+    match violation {
+        LimitViolation::JointLimit { .. } => StopReason::JointLimit,
+        LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
+        LimitViolation::Creeping { .. } => StopReason::Creeping,
+        LimitViolation::OverSpeed { .. } => StopReason::OverSpeed,
+    }
+}
+
+fn hindrance_of(obstacle: Obstacle) -> Hindrance {
+    match obstacle {
+        Obstacle::WorkspaceFace { axis, is_upper } => Hindrance::WorkspaceFace { axis: axis as u8, is_upper },
+        Obstacle::JointLimit { joint } => Hindrance::JointLimit { joint: joint as u8 },
+        Obstacle::Singularity => Hindrance::Singularity,
+        Obstacle::JointSpeed => Hindrance::JointSpeed,
+    }
+}
+
+#[cfg(test)]
+#[path = "controller_tests.rs"]
+mod tests;
