@@ -274,13 +274,11 @@ fn end_with_output(output: std::process::Stdio, arguments: &[&std::ffi::OsStr]) 
 /// The commands of the laboratory on the recordings in `folder`, each with the file that it writes.
 fn laboratory_commands(folder: &std::path::Path) -> Vec<(Vec<std::ffi::OsString>, std::path::PathBuf)> {
     let recordings = folder.join(format!("Participant{PERSON}"));
-    let emg = recordings.join("train/EMG");
     let file = |name: &str| folder.join(name);
     let words = |words: &[&dyn AsRef<std::ffi::OsStr>]| {
         words.iter().map(|word| word.as_ref().to_owned()).collect::<Vec<std::ffi::OsString>>()
     };
-    let (scores, strategies, profile, windows) =
-        (file("scores.json"), file("strategies.json"), file("profile.toml"), file("windows"));
+    let (scores, strategies, windows) = (file("scores.json"), file("strategies.json"), file("windows"));
     let [five, six] = ["cnn-five-gesture", "cnn-six-class"].map(model);
     vec![
         (words(&[&"evaluate", &recordings, &"--model", &six, &"--json", &scores]), scores),
@@ -297,7 +295,6 @@ fn laboratory_commands(folder: &std::path::Path) -> Vec<(Vec<std::ffi::OsString>
             ]),
             strategies,
         ),
-        (words(&[&"profile", &"fit", &emg, &"--out", &profile]), profile),
         (words(&[&"dataset", &"build", &recordings, &"--out", &windows]), windows.join("manifest.json")),
     ]
 }

@@ -30,7 +30,8 @@ fn named_tests(page: &str) -> Vec<Named> {
 /// Whether the text of a file has a test of this name.
 fn has_test(text: &str, name: &str) -> bool {
     let function = format!("fn {name}(");
-    let mut lines = text.lines().collect::<Vec<_>>().into_iter().rev().skip_while(|line| !line.contains(&function));
+    let mut lines =
+        text.lines().collect::<Vec<_>>().into_iter().rev().skip_while(|line| !line.contains(&function));
     // The attributes above it, and those of proptest.
     lines.next().is_some()
         && lines
@@ -44,7 +45,10 @@ fn every_test_that_a_promise_names_exists() {
     let promises = page.lines().filter(|line| line.starts_with("| ")).count();
     let named = named_tests(&page);
     let functions: usize = named.iter().map(|named| named.functions.len()).sum();
-    assert!(promises > 40 && functions > 40, "{promises} promises, {functions} tests: is it written otherwise?");
+    assert!(
+        promises > 40 && functions > 40,
+        "{promises} promises, {functions} tests: is it written otherwise?"
+    );
     let mut missing = Vec::new();
     for Named { file, functions } in named {
         let Ok(text) = std::fs::read_to_string(repository().join(&file)) else {

@@ -525,12 +525,14 @@ fn an_error_of_the_arm_is_told_and_needs_arming() {
 }
 
 /// The arm goes along y by itself at this speed; what stops it, and `tendon arm` after that.
-fn run_away(script: &str, along_y_mm_per_s: i16, reason: StopReason) {
+fn run_away(script: &str, along_y_mm_per_s: i16, reasons: &[StopReason]) {
     let mut rig = Rig::start(script);
     rig.wait_for_full_speed();
     rig.emulator.inject(Fault::Runaway(along_y_mm_per_s));
-    let state = rig.wait_for_reason(reason);
-    assert_eq!(Permission::from_number(state.permission), Permission::Stopped);
+    let state =
+        wait_until("a stop", || rig.state().filter(|state| state.permission == Permission::Stopped as u8));
+    let reason = StopReason::from_number(state.stop_reason);
+    assert!(reason.is_some_and(|reason| reasons.contains(&reason)), "{reason:?}");
     assert!(rig.time_to_rest() < PATIENCE);
     rig.assert_stays_at_rest(Duration::from_secs(1));
     rig.order("arm");
@@ -540,17 +542,19 @@ fn run_away(script: &str, along_y_mm_per_s: i16, reason: StopReason) {
 
 #[test]
 fn an_arm_that_is_too_fast_is_stopped() {
-    run_away(TO_AND_FRO, 300, StopReason::OverSpeed);
+    run_away(TO_AND_FRO, 300, &[StopReason::OverSpeed]);
 }
 
 #[test]
 fn an_arm_that_leaves_the_workspace_is_stopped_and_can_be_driven_back() {
-    run_away("rest 1s, ulnar 5s, rest 1s, radial 5s", 55, StopReason::WorkspaceBox);
+    // Held up by the face, it is commanded to rest there: whichever of the two is found first.
+    let reasons = [StopReason::WorkspaceBox, StopReason::Creeping];
+    run_away("rest 1s, ulnar 5s, rest 1s, radial 5s", 55, &reasons);
 }
 
 #[test]
 fn an_arm_that_creeps_at_commanded_rest_is_stopped() {
-    run_away(TO_AND_FRO, 20, StopReason::Creeping);
+    run_away(TO_AND_FRO, 20, &[StopReason::Creeping]);
 }
 
 #[test]
