@@ -213,6 +213,15 @@ fn a_stage_that_dies_again_and_again_ends_the_session_by_name() {
 }
 
 #[test]
+fn after_the_true_reason_of_a_failed_start_no_other_is_given() {
+    let builder = TendonBuilder::run(&unique_session()).args(&["--set", "acquisition.channels=8"]);
+    let ended = builder.end();
+    ended.assert_failed(2, &["inference: error:", "channels"]);
+    let reasons: Vec<&str> = ended.errors.lines().filter(|line| line.contains("error:")).collect();
+    assert!(reasons.len() == 2 && reasons[1].contains("inference ended"), "{ended:#?}");
+}
+
+#[test]
 fn commands_of_a_decision_process_that_began_anew_stop_the_arm_whoever_started_it() {
     let name = unique_session();
     let folder = tempfile::tempdir().unwrap();
