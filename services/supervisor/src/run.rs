@@ -8,7 +8,7 @@ use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use anyhow::Context;
-use tendon_config::{Backend, Config, Source};
+use tendon_config::Config;
 use tendon_messages::{STATE_LENGTH, Stage, StateHeader};
 use tendon_observer::{Observer, State};
 use tendon_process::{Order, Ready};
@@ -196,15 +196,8 @@ fn facts(config: &Config, watch: &Watch<'_>, usage: Usage, task: Option<&TaskRun
     SessionFacts {
         session: config.session.to_string(),
         duration: usage.duration,
-        source: match acquisition.source {
-            Source::Simulate => "simulate".to_owned(),
-            Source::Replay => "replay".to_owned(),
-            Source::Device => "device".to_owned(),
-        },
-        robot: match robot.backend {
-            Backend::Simulate => "simulate".to_owned(),
-            Backend::XArm => "xarm".to_owned(),
-        },
+        source: acquisition.source.name().to_owned(),
+        robot: robot.backend.name().to_owned(),
         model: detail(Stage::Inference),
         strategy: decision.strategy.name().to_owned(),
         scheduling: ready.iter().map(scheduling).collect(),

@@ -64,6 +64,17 @@ pub enum Source {
     Device,
 }
 
+impl Source {
+    /// The name as the settings and the report spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Source::Simulate => "simulate",
+            Source::Replay => "replay",
+            Source::Device => "device",
+        }
+    }
+}
+
 /// Settings of the acquisition stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -236,6 +247,16 @@ pub enum Backend {
     XArm,
 }
 
+impl Backend {
+    /// The name as the settings and the report spell it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Backend::Simulate => "simulate",
+            Backend::XArm => "xarm",
+        }
+    }
+}
+
 /// Where the xArm7 is, and how it gets to its start position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -390,5 +411,15 @@ mod tests {
         };
         assert_eq!(channels("emg.csv"), [0, 1, 2, 3].map(Channel::Index));
         assert_eq!(channels("EMG/3dc_EMG_gesture_0_1.txt"), [0, 3, 5, 8].map(Channel::Index));
+    }
+
+    #[test]
+    fn names_are_those_of_the_settings_file() {
+        for source in [Source::Simulate, Source::Replay, Source::Device] {
+            assert_eq!(toml::Value::try_from(source).unwrap().as_str(), Some(source.name()));
+        }
+        for backend in [Backend::Simulate, Backend::XArm] {
+            assert_eq!(toml::Value::try_from(backend).unwrap().as_str(), Some(backend.name()));
+        }
     }
 }

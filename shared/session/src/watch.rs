@@ -174,9 +174,10 @@ impl<'a> Watch<'a> {
     /// [`SessionFailure`] when a stage ends or takes too long.
     pub fn wait_until_ready(&mut self) -> Result<Turn, SessionFailure> {
         let begun = Instant::now();
-        let (timeout, on_the_way) = match self.config.robot.backend {
-            Backend::Simulate => (READY_TIMEOUT, ""),
-            Backend::XArm => (READY_TIMEOUT_OF_ARM, ": the arm goes to its start position"),
+        let (timeout, on_the_way) = if self.config.robot.backend == Backend::Simulate {
+            (READY_TIMEOUT, "")
+        } else {
+            (READY_TIMEOUT_OF_ARM, ": the arm goes to its start position")
         };
         while self.ready.len() < Stage::ALL.len() {
             self.robot.loop_turned();
