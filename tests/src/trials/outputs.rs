@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use nix::fcntl::OFlag;
+use nix::fcntl::{FcntlArg, FdFlag, OFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::pty::{Winsize, openpty};
 use nix::unistd::{pipe2, ttyname};
@@ -57,6 +57,10 @@ impl Outputs {
             Output::Terminal => {
                 let size = Winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
                 let terminal = openpty(&size, None).unwrap();
+                // A session that inherits the person's end would keep its own terminal from going away.
+                for end in [&terminal.master, &terminal.slave] {
+                    fcntl(end, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).unwrap();
+                }
                 let path = ttyname(&terminal.slave).unwrap();
                 let child = on_terminal(&command, terminal.slave).spawn().unwrap();
                 let keys = File::from(terminal.master);
