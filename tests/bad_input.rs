@@ -20,7 +20,7 @@ fn assert_model_refused(path: &Path, parts: &[&str]) {
 fn a_missing_model() {
     assert_model_refused(
         Path::new("/nowhere/model.onnx"),
-        &["/nowhere/model.onnx", "cannot be loaded", "there is no such file"],
+        &["cannot open", "/nowhere/model.onnx", "check the path"],
     );
 }
 

@@ -229,19 +229,26 @@ fn commands_of_a_decision_process_that_began_anew_stop_the_arm_whoever_started_i
     let mut config = Config { session: name.clone(), ..Config::default() };
     config.scheduling.realtime = tendon_config::Realtime::Off;
     std::fs::write(&path, config.to_toml()).unwrap();
+    let increment_samples = config.dsp.windows.increment_samples as u64;
     let lock = SessionLock::take(&name).unwrap();
     let session = Session::join(&name, "test").unwrap();
     let open = || Publisher::open(&session, &COMMANDS, TWIST_LENGTH, Delivery::Live, Arc::default()).unwrap();
     let mut states = Subscriber::open(&session, &STATES, None, Delivery::Live).unwrap();
     // Rest until the robot is as wanted.
+    let mut first_sample = 0;
     let mut rest_until = |commands: &mut Publisher<CommandHeader, f32>,
                           is_enough: &dyn Fn(&StateHeader) -> bool| {
         wait_until("a state of the robot", || {
             let header = CommandHeader {
                 trace: Trace { captured_ns: now_ns(), ..Trace::default() },
-                context: WindowContext { activity: Activity::Rest as u8, ..WindowContext::default() },
+                context: WindowContext {
+                    first_sample,
+                    activity: Activity::Rest as u8,
+                    ..WindowContext::default()
+                },
                 ..CommandHeader::default()
             };
+            first_sample += increment_samples;
             commands.publish(header, TWIST_LENGTH, |twist| twist.fill(0.0)).unwrap();
             let mut is_there = false;
             while let Some(state) = states.receive().unwrap() {

@@ -28,7 +28,9 @@ pub fn of_session(config: &Config) -> anyhow::Result<Provenance> {
     let recording: Vec<_> = recording.collect();
     let mut trained = Vec::new();
     for model in models.paths() {
-        trained.extend(people_trained(model).with_context(|| format!("cannot read {}", model.display()))?);
+        trained.extend(people_trained(model).with_context(|| {
+            format!("cannot open {}: check the path and its permissions", model.display())
+        })?);
     }
     let person = recording.first().and_then(|path| person(path));
     let trained_on_person = person.filter(|_| !trained.is_empty()).map(|person| trained.contains(&person));

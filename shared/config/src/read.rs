@@ -129,6 +129,7 @@ mod tests {
     /// A configuration in which every key has a value, those too that are left out by default.
     fn every_key() -> Config {
         let mut config = Config::default();
+        config.acquisition.program = Some("x".into());
         config.acquisition.simulate.profile = Some("x".into());
         config.acquisition.simulate.clip_at = Some(1.0);
         config.acquisition.replay.path = Some("x".into());

@@ -147,6 +147,6 @@ mod tests {
         );
         assert_eq!(whole.sha256, hexadecimal(&Sha256::digest(list)));
         let error = FileHash::of(Path::new("/nowhere")).unwrap_err();
-        assert_eq!(error.to_string(), "cannot read /nowhere");
+        assert_eq!(error.to_string(), "cannot open /nowhere: check the path and its permissions");
     }
 }

@@ -25,7 +25,7 @@ pub use hash::{FileHash, RecordingHash};
 #[derive(Debug, thiserror::Error)]
 pub enum ProvenanceError {
     /// A model or recording cannot be read.
-    #[error("cannot read {}", path.display())]
+    #[error("cannot open {}: check the path and its permissions", path.display())]
     Read {
         /// The file or folder.
         path: PathBuf,
