@@ -16,6 +16,7 @@ use std::os::fd::AsFd;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use tendon_arm::SimulatedArm;
@@ -36,6 +37,8 @@ use crate::xarm::XArm;
 const MOVING_PERIOD_NS: u64 = tendon_arm::STEP_NS;
 /// Time between two ticks while nothing moves, ns. A command ends it.
 const STILL_PERIOD_NS: u64 = 20_000_000;
+/// How long the robot process of a session that was killed may take to stop the arm and end.
+const LAST_OWNER: Duration = Duration::from_secs(3);
 /// How long the arm may take to come to rest at the end, and for how long it must have been at rest, ns.
 const LAST_STOP_NS: u64 = 1_500_000_000;
 const AT_REST_NS: u64 = 200_000_000;
@@ -103,7 +106,7 @@ fn control_settings(config: &Config) -> ControlSettings {
 fn claim(xarm: &XArmSettings) -> anyhow::Result<Claim> {
     let address = xarm.address.context("robot.xarm.address is missing")?;
     let arm = std::net::SocketAddr::new(address, xarm.control_port);
-    Claim::take(&format!("tendon-arm-{arm}"), "").with_context(|| {
+    Claim::take_within(LAST_OWNER, &format!("tendon-arm-{arm}"), "").with_context(|| {
         format!(
             "the arm at {arm} is driven by another session: end that one first, or check robot.xarm.address"
         )
@@ -307,7 +310,7 @@ impl Robot {
         let begun_ns = now_ns();
         let mut rest: Option<(u64, tendon_arm::JointVector)> = None;
         while now_ns().saturating_sub(begun_ns) < LAST_STOP_NS {
-            std::thread::sleep(std::time::Duration::from_nanos(STILL_PERIOD_NS));
+            std::thread::sleep(Duration::from_nanos(STILL_PERIOD_NS));
             let now_ns = now_ns();
             let Some(joints_rad) = self.controller.at_the_end(now_ns) else { return Ok(()) };
             match rest {

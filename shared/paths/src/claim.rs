@@ -14,8 +14,9 @@ use std::net::Shutdown;
 use std::os::fd::AsRawFd;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
+use std::path::Path;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::sys::socket::{self, AddressFamily, SockFlag, SockType, UnixAddr, connect, getsockopt, sockopt};
 
@@ -23,6 +24,10 @@ use crate::user_name;
 
 /// How long a holder may take to hand over its card.
 const CARD_TIMEOUT: Duration = Duration::from_millis(500);
+/// How long the name of a process that has ended may stay held: by a child that it was about to start, say.
+const LAST_HOLD: Duration = Duration::from_secs(1);
+/// Time between two tries for a name that is held.
+const RETRY: Duration = Duration::from_millis(20);
 /// Longest card, bytes.
 const MAXIMUM_CARD_LENGTH: u64 = 4096;
 
@@ -63,6 +68,31 @@ impl Claim {
     ///
     /// [`ClaimError::Held`] while another process holds the name.
     pub fn take(name: &str, card: &str) -> Result<Claim, ClaimError> {
+        Claim::take_within(Duration::ZERO, name, card)
+    }
+
+    /// As [`Claim::take`], but gives a holder that is about to end this long to do so.
+    ///
+    /// # Errors
+    ///
+    /// As [`Claim::take`].
+    pub fn take_within(patience: Duration, name: &str, card: &str) -> Result<Claim, ClaimError> {
+        let begun = Instant::now();
+        loop {
+            let held = match Claim::try_take(name, card) {
+                Err(ClaimError::Held(holder)) => holder,
+                taken => return taken,
+            };
+            let has_ended = held.as_ref().is_some_and(|holder| !holder.is_running());
+            let patience = if has_ended { patience.max(LAST_HOLD) } else { patience };
+            if begun.elapsed() >= patience {
+                return Err(ClaimError::Held(held));
+            }
+            std::thread::sleep(RETRY);
+        }
+    }
+
+    fn try_take(name: &str, card: &str) -> Result<Claim, ClaimError> {
         let failed = |source| ClaimError::System { name: name.to_owned(), source };
         let address = SocketAddr::from_abstract_name(name).map_err(failed)?;
         let listener = match UnixListener::bind_addr(&address) {
@@ -132,6 +162,10 @@ impl Holder {
         let _ = (&stream).take(MAXIMUM_CARD_LENGTH).read_to_string(&mut card);
         Some(Holder { process_id: credentials.pid(), user: credentials.uid(), card })
     }
+
+    fn is_running(&self) -> bool {
+        Path::new("/proc").join(self.process_id.to_string()).exists()
+    }
 }
 
 /// All names in the abstract namespace that begin with `prefix`, held by whatever user.
@@ -166,5 +200,17 @@ mod tests {
         drop(claim);
         assert_eq!(Holder::of(&name), None);
         Claim::take(&name, "").unwrap();
+    }
+
+    #[test]
+    fn a_holder_that_is_about_to_end_is_waited_for() {
+        let name = format!("tendon-test.{}.patience", std::process::id());
+        let claim = Claim::take(&name, "").unwrap();
+        let successor = {
+            let name = name.clone();
+            std::thread::spawn(move || Claim::take_within(Duration::from_secs(60), &name, ""))
+        };
+        drop(claim);
+        successor.join().unwrap().unwrap();
     }
 }
