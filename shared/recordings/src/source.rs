@@ -71,7 +71,7 @@ impl RecordingSource {
     ///
     /// # Errors
     /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
-    /// wrong further on shows when it is read: [`check`] reads all of it.
+    /// wrong further on shows when it is read: [`check()`](crate::check()) reads all of it.
     pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
