@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tendon_gesture::Gesture;
-use tendon_messages::{Hindrance, Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
+use tendon_messages::{ArmPhase, Hindrance, Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
 use tendon_xarm::Fault;
 
 /// What the keys do, for the person at them.
@@ -40,6 +40,9 @@ fn standing(header: &StateHeader) -> String {
     };
     let calibration_left_s = header.calibration_left_ms.div_ceil(1000);
     match (Permission::from_number(header.permission), Hindrance::from_number(header.hindrance)) {
+        (Permission::Stopped, _) if header.arm_phase == ArmPhase::BringingUp.number() => {
+            "the arm switches its motors on  ".to_owned()
+        }
         (Permission::Stopped, _) => format!("ARM STOPPED ({reason}): `tendon arm` or key a goes on  "),
         (Permission::AwaitRest, _) if calibration_left_s > 0 => {
             format!("calibrating, {calibration_left_s} s of rest left  ")
@@ -64,6 +67,8 @@ mod tests {
             ..StateHeader::default()
         };
         assert!(line(stopped).starts_with("ARM STOPPED ("), "{}", line(stopped));
+        let comes_up = StateHeader { arm_phase: ArmPhase::BringingUp.number(), stop_reason: 0, ..stopped };
+        assert!(line(comes_up).starts_with("the arm switches its motors on"));
         let awaits = StateHeader { permission: Permission::AwaitRest as u8, ..StateHeader::default() };
         assert!(line(awaits).starts_with("relax to begin"));
         let calibrating = StateHeader { calibration_left_ms: 4200, ..awaits };

@@ -367,6 +367,10 @@ impl Controller {
 
     fn connect(&mut self, report: &ArmReport, now_ns: u64) {
         let since_ns = *self.connecting_since_ns.get_or_insert(now_ns);
+        // That there is no connection yet is no reason to give up. That Tendon cannot drive this arm is one.
+        if let Some(stop) = report.stop.filter(|stop| stop.reason == StopReason::UnsupportedArm) {
+            return self.give_up(stop);
+        }
         if let Some(joints_rad) = report.joints_rad.filter(|_| report.link != Link::Connecting) {
             let limits = self.arm.joint_limits();
             self.guard.set_joint_limits(limits);
@@ -379,14 +383,16 @@ impl Controller {
             self.has_followed |= self.phase == Phase::Following;
             return;
         }
-        let is_late =
-            self.settings.stale_ns.is_some() && now_ns.saturating_sub(since_ns) > CONNECT_TIMEOUT_NS;
-        // That there is no connection yet is no reason; that the arm is none of ours is one.
-        let refused = report.stop.filter(|stop| stop.reason == StopReason::UnsupportedArm);
-        if let Some(stop) = refused.or(is_late.then_some(Stop::because(StopReason::ConnectionBroke))) {
-            self.latch.stop(stop);
-            self.failure = self.failure.or(Some(stop));
+        let is_live = self.settings.stale_ns.is_some();
+        if is_live && now_ns.saturating_sub(since_ns) > CONNECT_TIMEOUT_NS {
+            self.give_up(Stop::because(StopReason::ConnectionBroke));
         }
+    }
+
+    /// The arm cannot be reached or driven.
+    fn give_up(&mut self, stop: Stop) {
+        self.latch.stop(stop);
+        self.failure = self.failure.or(Some(stop));
     }
 
     fn look_at_link(&mut self, report: &ArmReport) {

@@ -574,11 +574,15 @@ fn an_arm_that_cannot_be_reached_or_driven_is_a_failure() {
     assert_eq!(rig.controller.failure(), None);
     rig.pass(200);
     assert_eq!(rig.controller.failure(), Some(Stop::because(StopReason::ConnectionBroke)));
-    let mut rig = Rig::near();
-    rig.arm.0.borrow_mut().report.link = Link::Connecting;
-    rig.arm.0.borrow_mut().report.stop = Some(Stop::because(StopReason::UnsupportedArm));
-    rig.pass(100);
-    assert_eq!(rig.controller.failure(), Some(Stop::because(StopReason::UnsupportedArm)));
+    // An arm that Tendon cannot drive answers and reports like any other.
+    for link in [Link::Connecting, Link::Connected] {
+        let mut rig = Rig::near();
+        rig.arm.0.borrow_mut().report.link = link;
+        rig.arm.0.borrow_mut().report.stop = Some(Stop::because(StopReason::UnsupportedArm));
+        rig.pass(100);
+        assert_eq!(rig.controller.failure(), Some(Stop::because(StopReason::UnsupportedArm)));
+        assert!(!rig.controller.is_ready());
+    }
 }
 
 #[test]

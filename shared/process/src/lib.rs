@@ -103,6 +103,7 @@ pub struct StageProcess {
     pub scheduling: Scheduling,
     /// Whether this process stands in for one that did not end in good order.
     pub is_restarted: bool,
+    is_ready: bool,
 }
 
 impl StageProcess {
@@ -139,7 +140,9 @@ impl StageProcess {
         };
         self.measurements.publish()?;
         let line = serde_json::to_string(&ready).context("cannot say ready")?;
-        writeln!(std::io::stdout(), "{line}").context("cannot say ready on standard output")
+        writeln!(std::io::stdout(), "{line}").context("cannot say ready on standard output")?;
+        self.is_ready = true;
+        Ok(())
     }
 
     /// Hands every message of `input` to `consumer` as it comes, until the process is to stop.
@@ -236,7 +239,10 @@ where
     let arguments = Arguments::parse();
     let opened = prepare(stage, &arguments).and_then(|mut process| Ok((open(&mut process)?, process)));
     let (result, failure) = match opened {
-        Ok((run, mut process)) => (run(&mut process), ExitCode::from(1)),
+        Ok((run, mut process)) => {
+            let result = run(&mut process);
+            (result, ExitCode::from(if process.is_ready { 1 } else { 2 }))
+        }
         Err(error) => (Err(error), ExitCode::from(2)),
     };
     match result {
@@ -261,5 +267,14 @@ fn prepare(stage: Stage, arguments: &Arguments) -> anyhow::Result<StageProcess> 
     let session = Session::join(&config.session, stage.name())?;
     let measurements = Measurements::open(&session, stage)?;
     let is_restarted = arguments.restarted;
-    Ok(StageProcess { stage, config, session, control, measurements, scheduling, is_restarted })
+    Ok(StageProcess {
+        stage,
+        config,
+        session,
+        control,
+        measurements,
+        scheduling,
+        is_restarted,
+        is_ready: false,
+    })
 }

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use tendon_config::{Backend, Config, Source};
 use tendon_gesture::Strategy;
-use tendon_messages::Stage;
+use tendon_messages::{ArmPhase, Stage};
 use tendon_observer::{Observer, State};
 use tendon_process::{Order, Ready};
 use tendon_transport::{Delivery, Leftovers, ReceiveError};
@@ -174,11 +174,8 @@ impl<'a> Watch<'a> {
     /// [`SessionFailure`] when a stage ends or takes too long.
     pub fn wait_until_ready(&mut self) -> Result<Turn, SessionFailure> {
         let begun = Instant::now();
-        let (timeout, on_the_way) = if self.config.robot.backend == Backend::Simulate {
-            (READY_TIMEOUT, "")
-        } else {
-            (READY_TIMEOUT_OF_ARM, ": the arm goes to its start position")
-        };
+        let is_simulated = self.config.robot.backend == Backend::Simulate;
+        let timeout = if is_simulated { READY_TIMEOUT } else { READY_TIMEOUT_OF_ARM };
         while self.ready.len() < Stage::ALL.len() {
             self.robot.loop_turned();
             match self.events.recv_timeout(READY_TICK) {
@@ -188,14 +185,15 @@ impl<'a> Watch<'a> {
                 Ok(Event::Order(stage, order)) => self.children.order(stage, order),
                 Err(_) => {}
             }
+            self.observer.gather(|_| ())?;
             let missing = Stage::ALL.into_iter().filter(|stage| !self.ready.contains_key(stage));
             let missing: Vec<&str> = missing.map(Stage::name).collect();
             if begun.elapsed() > timeout {
                 return Err(SessionFailure::NotReady { who: missing.join(", "), timeout });
             }
             if begun.elapsed() > PATIENCE {
-                let going = if missing == ["robot"] { on_the_way } else { "" };
-                self.standard_error.show(&format!("waiting for {}{going}", missing.join(", ")));
+                let doing = if missing == ["robot"] { self.what_the_arm_does() } else { "" };
+                self.standard_error.show(&format!("waiting for {}{doing}", missing.join(", ")));
             }
         }
         for (stage, process_id) in self.children.process_ids() {
@@ -237,6 +235,17 @@ impl<'a> Watch<'a> {
         let is_over = !self.restarts.is_empty()
             && self.finished.is_some_and(|finished| finished.elapsed() > LAST_OF_RECORDING);
         Ok(if self.observer.measurements().is_drained() || is_over { Turn::Over } else { Turn::GoesOn })
+    }
+
+    /// What the robot waits for, for the line that says so.
+    fn what_the_arm_does(&self) -> &'static str {
+        let state = self.observer.newest_state();
+        match state.map(|state| ArmPhase::from_number(state.header.arm_phase)) {
+            Some(ArmPhase::GoingToStart) => ": the arm goes to its start position",
+            Some(ArmPhase::BringingUp) => ": the arm switches its motors on",
+            _ if self.config.robot.backend == Backend::Simulate => "",
+            _ => ": connecting to the arm",
+        }
     }
 
     /// Stops all stages, robot first, and takes what they say last. In the end none runs, whatever the error:
