@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use tendon_arm::SimulatedArm;
 use tendon_config::{Backend, Config, XArmSettings};
 use tendon_control::{Arm, ControlSettings, Controller, Departure, State, Stop, Taken};
@@ -105,6 +105,12 @@ fn control_settings(config: &Config) -> ControlSettings {
 /// Makes this process the only one on this machine, of whatever user, that drives the arm.
 fn claim(xarm: &XArmSettings) -> anyhow::Result<Claim> {
     let address = xarm.address.context("robot.xarm.address is missing")?;
+    // One arm has one name, however its address is written.
+    let address = address.to_canonical();
+    ensure!(
+        !(address.is_unspecified() || address.is_multicast()),
+        "robot.xarm.address = {address}: give the address of one arm"
+    );
     let arm = std::net::SocketAddr::new(address, xarm.control_port);
     Claim::take_within(LAST_OWNER, &format!("tendon-arm-{arm}"), "").with_context(|| {
         format!(

@@ -240,6 +240,7 @@ impl Arm for XArm {
             silent_ns: u64::try_from(silence.as_nanos()).unwrap_or(u64::MAX),
             speed_mm_per_s: self.speed_mm_per_s,
             gripper_pulses: gripper.map(|gripper| f64::from(gripper.position_pulses)),
+            is_gripper_moving: gripper.is_some_and(|gripper| gripper.moves),
             is_commanded_to_rest: self.motion.is_commanded_to_rest(),
             halted_by_watchdog: self.motion.halted_by_watchdog(),
             obstacle: self.motion.obstacle(),

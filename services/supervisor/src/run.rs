@@ -98,6 +98,9 @@ fn run_locked(
         terminal.output.say(report.table().to_string());
         outputs.write(&report, measurements, task.as_ref())
     } else {
+        if watched.is_ok() {
+            terminal.errors.say("tendon: there is no report: the session ended before it began");
+        }
         Ok(())
     };
     // What ended the session says more than what came of that.

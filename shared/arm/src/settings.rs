@@ -16,13 +16,16 @@ const LEAST_WORKSPACE_MM: f64 = 10.0;
 
 /// Greatest values that an arm near a person may have: the watchdog, so that silence moves it no further than 30 mm at
 /// 100 mm/s; the speed, 250 mm/s, at which ISO 10218-1 lets a person stand beside; accelerations and jerks ten times
-/// the defaults'; the gripper's own greatest speed.
-const REAL_ARM_LIMITS: [(&str, f64); 5] = [
+/// the defaults'; the gripper's own greatest speed; and the corners of a workspace box that is still within the arm's reach,
+/// as the largest of their coordinates without its sign.
+const REAL_ARM_LIMITS: [(&str, f64); 7] = [
     ("watchdog_ms", 300.0),
     ("linear_speed_limit_mm_per_s", 250.0),
     ("linear_acceleration_mm_per_s2", 5000.0),
     ("linear_jerk_mm_per_s3", 100_000.0),
     ("gripper_speed_pulses_per_s", 5000.0),
+    ("workspace_min_mm", 1000.0),
+    ("workspace_max_mm", 1000.0),
 ];
 
 /// How fast the arm may move, where it starts, and when silence stops it. Unknown keys are errors; keys
@@ -221,6 +224,8 @@ impl ArmSettings {
             self.linear_acceleration_mm_per_s2,
             self.linear_jerk_mm_per_s3,
             self.gripper_speed_pulses_per_s,
+            farthest_mm(self.workspace_min_mm),
+            farthest_mm(self.workspace_max_mm),
         ];
         match REAL_ARM_LIMITS.into_iter().zip(values).find(|((_, most), value)| value > most) {
             Some(((key, most), value)) => Err(ArmSettingsError::TooMuchForRealArm { key, value, most }),
@@ -295,6 +300,10 @@ impl ArmSettings {
         }
         Ok(())
     }
+}
+
+fn farthest_mm(corner_mm: [f64; 3]) -> f64 {
+    corner_mm.into_iter().map(f64::abs).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

@@ -108,6 +108,11 @@ impl SimulatedArm {
         }
     }
 
+    /// Whether the gripper is on its way.
+    pub fn is_gripper_moving(&self) -> bool {
+        self.gripper_pulses != self.gripper_target_pulses
+    }
+
     /// Whether nothing moves and nothing is told to.
     pub fn is_still(&self) -> bool {
         self.motion.is_still() && self.gripper_pulses == self.gripper_target_pulses

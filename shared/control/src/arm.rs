@@ -64,6 +64,8 @@ pub struct ArmReport {
     pub speed_mm_per_s: f64,
     /// Position of the gripper in pulses; `None` without a gripper and before it has told.
     pub gripper_pulses: Option<f64>,
+    /// Whether the gripper's fingers move.
+    pub is_gripper_moving: bool,
     /// Whether the flange is commanded to rest.
     pub is_commanded_to_rest: bool,
     /// Whether the last command ran out and none has come since.

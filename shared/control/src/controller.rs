@@ -99,6 +99,8 @@ pub struct Controller {
     failure: Option<Stop>,
     /// Whether it has followed commands in this session.
     has_followed: bool,
+    /// Whether the arm waits for nothing but a word that it may go to its start position, which is far away.
+    waits_to_go_far: bool,
     connecting_since_ns: Option<u64>,
     /// When the supervisor was last heard; `None` without one.
     supervisor_heard_ns: Option<u64>,
@@ -131,6 +133,7 @@ impl Controller {
             phase: Phase::Connecting,
             failure: None,
             has_followed: false,
+            waits_to_go_far: false,
             connecting_since_ns: None,
             supervisor_heard_ns: None,
             woke_ns: None,
@@ -252,8 +255,14 @@ impl Controller {
             _ if report.link == Link::Connecting => ArmAnswer::NotConnected,
             _ if self.is_supervisor_silent(now_ns) => ArmAnswer::SupervisorSilent,
             _ => {
-                let goes_to_start =
-                    self.latch.reason() == Some(Stop::because(StopReason::StartIsFar)) && !self.has_followed;
+                let unseen = report.error_code.map(Stop::by_fault);
+                if let Some(fault) = unseen.filter(|fault| self.latch.reason() != Some(*fault)) {
+                    // Nobody can have acknowledged an error before it was shown.
+                    self.wait(fault);
+                    self.answer = Some(ArmAnswer::Failed(fault));
+                    return;
+                }
+                let goes_to_start = self.waits_to_go_far;
                 self.latch.stop(Stop::because(StopReason::Ordered));
                 self.latch.forget_reason();
                 self.asked = Some(Asked { deadline_ns: now_ns + BRING_UP_TIMEOUT_NS });
@@ -300,6 +309,7 @@ impl Controller {
     fn wait(&mut self, stop: Stop) {
         self.gripper.stopped();
         self.latch.stop(stop);
+        self.waits_to_go_far = stop.reason == StopReason::StartIsFar && !self.has_followed;
         if self.phase != Phase::Connecting {
             self.phase = Phase::Waiting;
         }
@@ -312,8 +322,18 @@ impl Controller {
     fn interrupt(&mut self, reason: StopReason) {
         if self.latch.permission() == Permission::Granted {
             self.arm.rest();
+            self.halt_gripper();
         }
         self.latch.interrupt(reason);
+    }
+
+    /// A gripper on its way stays where it is. One that holds something goes on holding it.
+    fn halt_gripper(&mut self) {
+        let report = self.arm.report();
+        if let Some(pulses) = report.gripper_pulses.filter(|_| report.is_gripper_moving) {
+            self.arm.move_gripper(pulses, self.woke_ns.unwrap_or_default());
+            self.gripper.stopped();
+        }
     }
 
     fn is_supervisor_silent(&self, now_ns: u64) -> bool {
@@ -348,8 +368,9 @@ impl Controller {
             Phase::Departing => self.look_at_link(&report),
             Phase::Waiting => {
                 // An error that comes later may say why the arm stopped.
-                if let Some(stop) = report.stop {
+                if let Some(stop) = report.error_code.map(Stop::by_fault).or(report.stop) {
                     self.latch.stop(stop);
+                    self.waits_to_go_far = false;
                 }
             }
             Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange | Phase::Following => {
@@ -376,7 +397,11 @@ impl Controller {
             self.guard.set_joint_limits(limits);
             self.header.start_distance_mm = self.start.distance_mm(&joints_rad) as f32;
             self.phase = match report.link {
-                _ if self.latch.permission() == Permission::Stopped => Phase::Waiting,
+                _ if self.latch.permission() == Permission::Stopped => {
+                    // The process before may have left a gripper on its way.
+                    self.arm.stop();
+                    Phase::Waiting
+                }
                 Link::Up(_) => Phase::Following,
                 _ => Phase::Departing,
             };
@@ -434,7 +459,7 @@ impl Controller {
         }
         // It stays so until the next command that the arm is given: a reason once, and not again and again.
         if report.halted_by_watchdog && self.latch.permission() == Permission::Granted {
-            self.latch.interrupt(StopReason::NoCommands);
+            self.interrupt(StopReason::NoCommands);
         }
     }
 

@@ -275,7 +275,7 @@ fn whatever_stops_the_arm_while_it_is_brought_up_stops_it_until_it_is_armed() {
 }
 
 #[test]
-fn while_stopped_the_first_reason_stays_and_nothing_moves() {
+fn while_stopped_the_first_reason_stays_but_for_an_error_of_the_arm_and_nothing_moves() {
     for (reason, cause) in CAUSES {
         let mut rig = Rig::moving();
         rig.controller.order_stop();
@@ -283,7 +283,8 @@ fn while_stopped_the_first_reason_stays_and_nothing_moves() {
         cause(&mut rig);
         rig.pass(100);
         assert_eq!(rig.permission(), Permission::Stopped);
-        assert_eq!(rig.reason(), Some(StopReason::Ordered), "{reason:?}");
+        let shown = if reason == StopReason::ArmFault { reason } else { StopReason::Ordered };
+        assert_eq!(rig.reason(), Some(shown), "{reason:?}");
     }
 }
 
@@ -493,6 +494,18 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
     rig.assert_stopped(StopReason::Ordered);
     rig.assert_arms();
 
+    // Nor after a stop, or an error, while it waited: more than the distance is in question then.
+    let mut rig = turned(30.0);
+    rig.pass(100);
+    rig.controller.order_stop();
+    rig.assert_stopped(StopReason::Ordered);
+    rig.assert_arms();
+    let mut rig = turned(30.0);
+    rig.pass(100);
+    rig.arm.0.borrow_mut().report.error_code = Some(1);
+    rig.assert_stopped(StopReason::ArmFault);
+    rig.assert_arms();
+
     let mut rig = turned(-350.0);
     rig.pass(100);
     rig.assert_stopped(StopReason::WayLeavesBox);
@@ -639,6 +652,36 @@ fn a_stop_stops_the_gripper_and_a_grip_while_stopped_leaves_nothing_at_odds() {
     rig.gripper_toggles += 1;
     rig.hold(Gesture::Grip, &STILL, 1);
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, Some(850.0), "half closed, it opens");
+}
+
+#[test]
+fn an_error_is_cleared_only_once_it_was_shown() {
+    let mut rig = Rig::moving();
+    rig.controller.order_stop();
+    rig.pass(300);
+    rig.arm.0.borrow_mut().report.error_code = Some(31);
+    rig.controller.order_arm(rig.now_ns);
+    assert_eq!(rig.controller.take_answer(), Some(ArmAnswer::Failed(Stop::by_fault(31))));
+    assert_eq!(rig.arm.0.borrow().errors_cleared, 0);
+    assert_eq!((rig.reason(), rig.state().fault_code), (Some(StopReason::ArmFault), 31));
+    rig.assert_arms();
+    assert_eq!(rig.arm.0.borrow().errors_cleared, 1);
+}
+
+#[test]
+fn a_gripper_on_its_way_stays_where_it_is_when_the_arm_rests_and_after_a_restart() {
+    let mut rig = Rig::moving();
+    rig.gripper_toggles += 1;
+    rig.hold(Gesture::Grip, &STILL, 1);
+    rig.arm.0.borrow_mut().report.gripper_pulses = Some(300.0);
+    rig.arm.0.borrow_mut().report.is_gripper_moving = true;
+    rig.supervisor_lives = false;
+    rig.hold(Gesture::Rest, &STILL, 3);
+    assert_eq!(rig.arm.0.borrow().gripper_target_pulses, Some(300.0));
+    let mut rig =
+        Rig::new(settings(), ArmSettings::default().start_joints_rad(), Some(StopReason::StageEnded));
+    rig.pass(100);
+    assert_eq!(rig.arm.0.borrow().stops, 1, "the process before may have left it on its way");
 }
 
 #[test]

@@ -59,15 +59,10 @@ impl Latch {
         self.rests = 0;
     }
 
-    /// Nothing moves before [`Latch::arm`]. The first reason stays, but for one that says less than what follows: what
-    /// the arm itself says.
+    /// Nothing moves before [`Latch::arm`]. The first reason stays, unless what follows says more.
     pub fn stop(&mut self, stop: Stop) {
-        use StopReason::{NotReady, StageEnded, TakenOver, VelocityRefused};
-        let says_little =
-            |stop: Stop| matches!(stop.reason, NotReady | StageEnded | TakenOver | VelocityRefused);
-        let says_more = self.stop.is_none_or(says_little)
-            && matches!(stop.reason, StopReason::ArmFault | StopReason::ConnectionBroke);
-        if self.permission != Permission::Stopped || self.stop.is_none() || says_more {
+        let says_more = self.stop.is_none_or(|before| says_more(stop.reason, before.reason));
+        if self.permission != Permission::Stopped || says_more {
             *self = Latch { permission: Permission::Stopped, stop: Some(stop), rests: 0, ..*self };
         }
     }
@@ -96,6 +91,26 @@ impl Latch {
 
     pub fn reason(&self) -> Option<Stop> {
         self.stop
+    }
+}
+
+/// Whether a reason to stop tells a person more than the one before. An error of the arm always does: nobody may
+/// acknowledge what was not shown.
+fn says_more(reason: StopReason, before: StopReason) -> bool {
+    use StopReason::{
+        ArmFault, ConnectionBroke, MovedSince, NotLeftInGoodOrder, NotReady, RecordUnusable, StageEnded,
+        StartIsFar, TakenOver, VelocityRefused, WayLeavesBox,
+    };
+    // These say how the arm was found at the start.
+    let is_how_found = |reason| {
+        matches!(reason, NotLeftInGoodOrder | RecordUnusable | MovedSince | StartIsFar | WayLeavesBox)
+    };
+    match reason {
+        ArmFault => before != ArmFault,
+        ConnectionBroke => {
+            is_how_found(before) || matches!(before, NotReady | StageEnded | TakenOver | VelocityRefused)
+        }
+        _ => is_how_found(before) && !is_how_found(reason),
     }
 }
 

@@ -14,9 +14,10 @@
 use std::fmt::{self, Display};
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use serde::Serialize;
 use tempfile::NamedTempFile;
 
@@ -165,7 +166,7 @@ impl OutputFile {
     /// When it cannot be written, for instance because the disk is full.
     pub fn write(&self, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), OutputError> {
         if self.state == State::Special {
-            let file = OpenOptions::new().write(true).open(&self.target);
+            let file = open_special(&self.target);
             return file.and_then(|mut file| fill(&mut file, write)).map_err(|source| self.error(source));
         }
         let mut temporary = self.temporary()?;
@@ -219,6 +220,15 @@ impl OutputFile {
     fn error(&self, source: io::Error) -> OutputError {
         OutputError::Write { path: self.path.clone(), source }
     }
+}
+
+/// Opens a device or a pipe. A named pipe that nobody reads is refused at once: waiting for its reader would keep the
+/// command from ending.
+fn open_special(path: &Path) -> io::Result<File> {
+    let file = OpenOptions::new().write(true).custom_flags(OFlag::O_NONBLOCK.bits()).open(path)?;
+    let flags = OFlag::from_bits_truncate(fcntl(&file, FcntlArg::F_GETFL)?);
+    fcntl(&file, FcntlArg::F_SETFL(flags - OFlag::O_NONBLOCK))?;
+    Ok(file)
 }
 
 fn fill(file: &mut File, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
@@ -294,6 +304,15 @@ pub fn check_distinct<'a>(files: impl IntoIterator<Item = &'a OutputFile>) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_pipe_that_nobody_reads_is_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let output = OutputFile::check(&path).unwrap();
+        output.write(|file| file.write_all(b"nobody reads this")).unwrap_err();
+    }
 
     #[test]
     fn a_new_file_is_written_and_nothing_else_is_left() {

@@ -29,6 +29,8 @@ const SEQUENCE_MS: u8 = 20;
 
 const ESCAPE: u8 = 0x1b;
 const CONTROL_C: u8 = 0x03;
+const CONTROL_BACKSLASH: u8 = 0x1c;
+const CONTROL_Z: u8 = 0x1a;
 
 /// Why the keys cannot be heard.
 #[derive(Debug, thiserror::Error)]
@@ -175,8 +177,9 @@ fn wait_for_input(timeout: PollTimeout) -> bool {
 fn meaning(bytes: &[u8], with_gestures: bool) -> Option<Key> {
     let keys = bytes.iter().map(|byte| match *byte {
         b' ' => Some(Key::Stop),
-        CONTROL_C | b'q' => Some(Key::Quit),
-        b'a' => Some(Key::Arm),
+        // Also what ends or stops a program elsewhere: Ctrl-\\ and Ctrl-Z.
+        CONTROL_C | CONTROL_BACKSLASH | CONTROL_Z | b'q' | b'Q' => Some(Key::Quit),
+        b'a' | b'A' => Some(Key::Arm),
         b'e' => Some(Key::Gesture(Gesture::Extension)),
         b'f' => Some(Key::Gesture(Gesture::Flexion)),
         b'u' => Some(Key::Gesture(Gesture::Ulnar)),
