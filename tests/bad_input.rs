@@ -49,7 +49,7 @@ fn a_model_for_another_session() {
             "dsp.windows.window_samples=500",
             "window: the model wants 600 samples, the session has 500 samples",
         ),
-        ("dsp.filter.notch_hz=50", "filter: the model wants"),
+        ("dsp.filter.notch_hz=50", "dsp.filter.notch_hz: the model wants 60, the session has 50"),
         ("decision.strategy=direct", "which needs a model that knows rest"),
     ] {
         assert_refused(
@@ -96,7 +96,12 @@ fn c_library() -> PathBuf {
 
 #[test]
 fn an_unknown_key() {
-    assert_refused(&["--set", "acquisition.chanels=8"], &["did you mean `channels`?"]);
+    let ended = TendonBuilder::run(&unique_session()).args(&["--set", "acquisition.chanels=8"]).end();
+    ended.assert_failed(2, &["--set acquisition.chanels=8: unknown key `chanels`; did you mean `channels`?"]);
+    assert!(!ended.errors.contains("TOML parse error"), "{ended:#?}");
+    let ended = TendonBuilder::run(&unique_session()).args(&["--set", "robot.backend=foo"]).end();
+    ended.assert_failed(2, &["unknown variant `foo`, expected `simulate` or `xarm`"]);
+    assert!(!ended.errors.contains("\n\n"), "{ended:#?}");
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("tendon.toml");
     std::fs::write(&path, "[acquisition]\nblock_sample = 5\n").unwrap();
@@ -130,6 +135,31 @@ fn a_recording_that_cannot_be_read() {
     refused(&["recording.csv", "the file has no samples", "record it again"]);
     std::fs::remove_file(&path).unwrap();
     refused(&["cannot open", "recording.csv", "check the path"]);
+}
+
+#[test]
+fn a_table_without_its_sampling_rate() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("emg.csv");
+    std::fs::write(&path, "1,2,3,4\n".repeat(1000)).unwrap();
+    let parts = ["emg.csv", "--replay-rate-hz 1000, or acquisition.replay.sample_rate_hz"];
+    assert_refused(&["--replay", path.to_str().unwrap()], &parts);
+}
+
+#[test]
+fn a_source_whose_program_is_not_there() {
+    let settings = ["--set", "acquisition.source=device", "--set", "acquisition.program=/nowhere/acquire"];
+    assert_refused(
+        &settings,
+        &["/nowhere/acquire: the program that acquisition.program names was not found"],
+    );
+}
+
+#[test]
+fn a_duration_of_nothing() {
+    let ended = TendonBuilder::run(&unique_session()).args(&["--duration", "0s"]).end();
+    assert_eq!(ended.exit_code, Some(2), "{ended:#?}");
+    assert!(ended.errors.contains("must be longer than 0"), "{ended:#?}");
 }
 
 #[test]

@@ -50,6 +50,67 @@ fn doctor_says_what_it_found() {
     }
 }
 
+/// Asserts that the doctor takes what `settings` say as little as `tendon run` does, and says the same of it.
+fn assert_both_refuse(settings: &[&str], expected: &str) {
+    let session = unique_session();
+    let name = format!("session={session}");
+    let [run, doctor] = [&["run", "--duration", "1s"][..], &["doctor"]].map(|command| {
+        TendonBuilder::command(&session, command).args(&["--set", &name]).args(settings).end()
+    });
+    assert_eq!((run.exit_code, doctor.exit_code), (Some(2), Some(1)), "{run:#?} {doctor:#?}");
+    assert!(run.errors.contains(expected), "{expected}: {run:#?}");
+    let broken =
+        doctor.output.lines().filter(|line| line.starts_with("BROKEN")).any(|line| line.contains(expected));
+    assert!(broken, "{expected}: {doctor:#?}");
+}
+
+#[test]
+fn doctor_refuses_what_run_refuses() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("emg.csv");
+    std::fs::write(&table, "1,2,3,4\n1,2,lunch,4\n").unwrap();
+    let replay = format!("acquisition.replay.path={}", table.display());
+    let replay = ["--set", "acquisition.source=replay", "--set", &replay];
+    let with_rate = [&replay[..], &["--set", "acquisition.replay.sample_rate_hz=2000"]].concat();
+    let file = folder.path().join("other.toml");
+    std::fs::write(&file, "[dsp.filter]\nnotch_hz = 55\n").unwrap();
+    let model = format!("inference.model={}", model("cnn-five-gesture").display());
+    for (settings, expected) in [
+        (&["--set", "acquisition.channels=0"][..], "take 1 to 1024 channels"),
+        (&["--set", "inference.model=/nowhere/mine.onnx"], "cannot open /nowhere/mine.onnx"),
+        (
+            &["--set", &model, "--set", "acquisition.channels=3"],
+            "channels: the model wants 4, the session has 3",
+        ),
+        (&["--set", &model, "--config", file.to_str().unwrap()], "dsp.filter.notch_hz: the model wants 60"),
+        (&replay, "does not state its sampling rate"),
+        (&with_rate, "`lunch` is not a number"),
+        (&["--set", "acquisition.program=/nowhere/acquire"], "names was not found"),
+        (&["--set", "acquisition.simulate.profile=/nowhere/p.toml"], "cannot read the profile"),
+    ] {
+        assert_both_refuse(settings, expected);
+    }
+}
+
+#[test]
+fn doctor_lists_only_what_dead_sessions_left() {
+    let (running, dead, without_files) = (unique_session(), unique_session(), unique_session());
+    let mut tendon = TendonBuilder::run(&running).start();
+    tendon.wait_until_running();
+    let user = nix::unistd::geteuid();
+    let left = [format!("tendon.{user}.{dead}.left"), format!("tendon.{user}.{without_files}")]
+        .map(|name| std::path::Path::new("/dev/shm").join(name));
+    left.iter().for_each(|file| std::fs::write(file, "x").unwrap());
+    let doctor = TendonBuilder::command(&unique_session(), &["doctor"]).end();
+    let _ = left.map(std::fs::remove_file);
+    assert!(doctor.output.contains(&format!("`{dead}` is dead but holds 1 files")), "{doctor:#?}");
+    for other in [&running, &without_files] {
+        assert!(!doctor.output.contains(&format!("`{other}`")), "{doctor:#?}");
+    }
+    tendon.signal(Signal::SIGINT);
+    tendon.end().report();
+}
+
 #[test]
 fn a_profile_fitted_to_real_recordings_runs() {
     let Some(recordings) = real_three_dc() else { return };

@@ -56,6 +56,27 @@ fn at_full_speed_every_block_and_window_of_a_table_comes_through() {
 }
 
 #[test]
+fn the_columns_of_a_table_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("emg.csv");
+    let samples = "0.001,1,2,3,4\n".repeat(2000);
+    std::fs::write(&path, format!("time,flexor,extensor,thumb,ulna\n{samples}")).unwrap();
+    let run = |channels: &[&str]| {
+        let builder = TendonBuilder::run(&unique_session()).args(&["--pace", "full", "--realtime", "off"]);
+        builder.args(&["--replay-rate-hz", "2000", "--replay"]).arg(&path).args(channels).end()
+    };
+    let ended = run(&[]);
+    assert!(ended.output.contains("columns time, flexor, extensor, thumb\n"), "{ended:#?}");
+    assert!(
+        ended.errors.contains("its first columns are taken: time, flexor, extensor, thumb"),
+        "{ended:#?}"
+    );
+    let ended = run(&["--set", "acquisition.replay.channels=[2,1,4,3]"]);
+    assert!(ended.output.contains("columns extensor, flexor, ulna, thumb\n"), "{ended:#?}");
+    assert!(!ended.errors.contains("first columns"), "{ended:#?}");
+}
+
+#[test]
 fn at_full_speed_two_replays_of_a_recording_with_cues_are_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("EMG");

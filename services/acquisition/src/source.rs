@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 use tendon_config::{AcquisitionSettings, Config, Gestures, Source as SourceKind};
-use tendon_emg_simulation::{Performance, Profile, Repeat, Script, SimulatedEmg};
+use tendon_emg_simulation::{Performance, Repeat, Script, SimulatedEmg};
 use tendon_gesture::Gesture;
 use tendon_messages::Truth;
 use tendon_recordings::ReplayStream;
@@ -51,16 +51,7 @@ struct SimulatedPerson {
 impl SimulatedPerson {
     fn open(settings: &AcquisitionSettings) -> anyhow::Result<(SimulatedPerson, String)> {
         let simulate = &settings.simulate;
-        let profile = match &simulate.profile {
-            None => Profile::default(),
-            Some(path) => {
-                let text = std::fs::read_to_string(path)
-                    .with_context(|| format!("{}: cannot read the profile", path.display()))?;
-                Profile::from_toml(&text).with_context(|| path.display().to_string())?
-            }
-        };
-        let emg =
-            SimulatedEmg::new(&profile, &simulate.simulation(settings.channels, settings.sample_rate_hz))?;
+        let (emg, profile) = settings.open_simulation()?;
         let contraction = simulate.contraction();
         let of_script =
             |script| Performance::of_script(script, Repeat::Forever, contraction, settings.sample_rate_hz);
@@ -78,8 +69,7 @@ impl SimulatedPerson {
                 (Performance::at_rest(contraction, settings.sample_rate_hz), "gestures as told".to_owned())
             }
         };
-        let description =
-            format!("simulated DAQ, {gestures}, seed {}, profile: {}", simulate.seed, profile.source);
+        let description = format!("simulated DAQ, {gestures}, seed {}, profile: {}", simulate.seed, profile);
         Ok((SimulatedPerson { emg, performance }, description))
     }
 }
@@ -101,15 +91,25 @@ struct Recording(ReplayStream);
 
 impl Recording {
     fn open(settings: &AcquisitionSettings) -> anyhow::Result<(Recording, String)> {
-        let recording = settings.replay.recording(settings.channels);
-        let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
-        let summary = tendon_recordings::check(path, &recording)?;
+        let (summary, stream) = settings.open_recording()?;
         for notice in &summary.notices {
             tracing::warn!("{notice}");
         }
-        let stream = ReplayStream::open(path, &recording, settings.sample_rate_hz, settings.block_samples)?;
-        let description =
-            format!("{}, {:.1} s at {} Hz", path.display(), summary.duration_s, summary.sample_rate_hz);
+        let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
+        let columns = summary.channels.join(", ");
+        if settings.replay.channels.is_none() && !tendon_recordings::three_dc::is_three_dc(path) {
+            tracing::warn!(
+                "{}: its first columns are taken: {columns}; if one is a time stamp, name the channels: \
+                 acquisition.replay.channels",
+                path.display()
+            );
+        }
+        let description = format!(
+            "{}, {:.1} s at {} Hz, columns {columns}",
+            path.display(),
+            summary.duration_s,
+            summary.sample_rate_hz
+        );
         Ok((Recording(stream), description))
     }
 }

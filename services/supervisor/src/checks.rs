@@ -3,13 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use tendon_config::Config;
+use tendon_classifier::{Recogniser, WindowSource};
+use tendon_config::{Config, Gestures, Source};
+use tendon_emg_simulation::Script;
 use tendon_gesture::Gesture;
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, TWIST_LENGTH, WINDOWS,
 };
 use tendon_process::BATCH_LENGTH;
+use tendon_session::check_source_program;
 use tendon_transport::{required_bytes, shared_memory_directory};
+
+use crate::provenance;
 
 /// Refuses a session that would run out of shared memory, because that kills the process which touches the
 /// page that is missing (SIGBUS). Returns the free and the needed bytes.
@@ -60,4 +65,51 @@ pub fn programs() -> anyhow::Result<PathBuf> {
         folder.display()
     );
     Ok(folder)
+}
+
+/// Loads the models of this configuration in ONNX Runtime and compares them with the session, as the stage inference does
+/// when it starts. Says which run.
+///
+/// # Errors
+///
+/// When one is missing, broken or made for another session.
+pub fn models(config: &Config) -> anyhow::Result<String> {
+    let Config { acquisition, inference, decision, dsp, .. } = config;
+    provenance::models(config)?;
+    let library = tendon_classifier::runtime_library(inference.runtime_library.as_deref())?;
+    let (model, rest_move_model) = (inference.model.as_deref(), inference.rest_move_model.as_deref());
+    let recogniser = Recogniser::load(&library, decision.strategy, model, rest_move_model)?;
+    let (channels, rate_hz) = (acquisition.channels, acquisition.sample_rate_hz);
+    recogniser.check_fit(&WindowSource::of_chain("the session", channels, rate_hz, dsp))?;
+    let models: Vec<String> = recogniser.models().iter().map(|path| path.display().to_string()).collect();
+    Ok(format!("{} in {}", models.join(", "), library.display()))
+}
+
+/// Opens the source of the samples, as the stage acquisition does when it starts. Says what it is.
+///
+/// # Errors
+///
+/// When the program, the recording, the profile or the script cannot be used.
+pub fn source(config: &Config) -> anyhow::Result<String> {
+    let acquisition = &config.acquisition;
+    if let Some(program) = &acquisition.program {
+        check_source_program(config)?;
+        return Ok(format!("{} can be started", program.display()));
+    }
+    match acquisition.source {
+        Source::Simulate => {
+            let (_, profile) = acquisition.open_simulation()?;
+            if acquisition.simulate.gestures == Gestures::Script {
+                acquisition.simulate.script.parse::<Script>().context("acquisition.simulate.script")?;
+            }
+            Ok(format!("simulated DAQ, profile: {profile}"))
+        }
+        Source::Replay => {
+            let (summary, stream) = acquisition.open_recording()?;
+            let first = &stream.source().segments()[0].file;
+            let columns = summary.channels.join(", ");
+            Ok(format!("{}, {:.1} s, columns {columns}", first.display(), summary.duration_s))
+        }
+        Source::Device => Ok("a device".to_owned()),
+    }
 }

@@ -1,13 +1,14 @@
 //! `tendon doctor`: what this machine offers a session, and how to mend what is wrong.
 
 use clap::Args;
-use tendon_classifier::{Classifier, DEFAULT_REST_MOVE_MODEL_FILE};
 use tendon_config::{Config, Realtime, SchedulingSettings};
 use tendon_messages::Stage;
 use tendon_process::Policy;
-use tendon_transport::{Leftovers, Removed, SessionLock, SessionLockError, shared_memory_directory};
+use tendon_transport::{
+    Leftovers, Removed, SessionLock, SessionLockError, SessionName, shared_memory_directory,
+};
 
-use crate::options::read_configuration;
+use crate::options::Base;
 use crate::output::print;
 use crate::{Failure, checks};
 
@@ -17,6 +18,8 @@ const COMFORTABLE_BYTES: u64 = 64_000_000;
 /// Command line of `tendon doctor`.
 #[derive(Debug, Args)]
 pub struct Options {
+    #[command(flatten)]
+    base: Base,
     /// Remove what sessions that no longer run left in shared memory.
     #[arg(long)]
     clean: bool,
@@ -49,17 +52,26 @@ impl Findings {
         self.printed = std::mem::replace(&mut self.printed, Ok(())).and(printed);
         self.broken += usize::from(weight == Weight::Broken);
     }
+
+    /// What a check says, which keeps a session from running if it fails.
+    fn add_checked(&mut self, what: &str, checked: anyhow::Result<String>) {
+        match checked {
+            Ok(finding) => self.add(Weight::Good, what, &finding),
+            Err(error) => self.add(Weight::Broken, what, &format!("{error:#}")),
+        }
+    }
 }
 
 /// Examines the machine.
 pub fn examine(options: &Options) -> Result<(), Failure> {
     let mut findings = Findings { broken: 0, printed: Ok(()) };
     programs(&mut findings);
-    let config = configuration(&mut findings);
+    let config = configuration(&mut findings, &options.base);
     folders(&mut findings);
-    runtime_and_models(&mut findings, &config);
+    findings.add_checked("source", checks::source(&config));
+    findings.add_checked("model and runtime", checks::models(&config));
     shared_memory(&mut findings, &config);
-    scheduling(&mut findings);
+    scheduling(&mut findings, &config);
     leftovers(&mut findings, options.clean);
     findings.printed.map_err(Failure::running)?;
     if findings.broken > 0 {
@@ -72,25 +84,21 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
 }
 
 fn programs(findings: &mut Findings) {
-    match checks::programs() {
-        Ok(folder) => {
-            findings.add(Weight::Good, "programs", &format!("all stages are in {}", folder.display()));
-        }
-        Err(error) => findings.add(Weight::Broken, "programs", &format!("{error:#}")),
-    }
+    let checked = checks::programs().map(|folder| format!("all stages are in {}", folder.display()));
+    findings.add_checked("programs", checked);
 }
 
 /// The configuration that `tendon run` would read here; the default if it is broken.
-fn configuration(findings: &mut Findings) -> Config {
-    let read = read_configuration(None).and_then(|config| Ok(config.check().map(|()| config)?));
-    match read {
+fn configuration(findings: &mut Findings, base: &Base) -> Config {
+    match base.configuration() {
         Ok(config) => {
             let finding = format!("good, for session `{}`", config.session);
             findings.add(Weight::Good, "configuration", &finding);
             config
         }
         Err(error) => {
-            findings.add(Weight::Broken, "configuration", &format!("{error:#}"));
+            let finding = format!("{error:#} (all below is checked with the defaults)");
+            findings.add(Weight::Broken, "configuration", &finding);
             Config::default()
         }
     }
@@ -103,24 +111,6 @@ fn folders(findings: &mut Findings) {
         match folder {
             Ok(folder) => findings.add(Weight::Good, what, &folder.path().display().to_string()),
             Err(error) => findings.add(Weight::Broken, what, &format!("{:#}", anyhow::Error::from(error))),
-        }
-    }
-}
-
-fn runtime_and_models(findings: &mut Findings, config: &Config) {
-    let library = match tendon_classifier::runtime_library(config.inference.runtime_library.as_deref()) {
-        Ok(library) => library,
-        Err(error) => return findings.add(Weight::Broken, "runtime library", &error.to_string()),
-    };
-    for file in ["cnn-five-gesture.onnx", "cnn-six-class.onnx", DEFAULT_REST_MOVE_MODEL_FILE] {
-        let loaded = tendon_classifier::model_beside_program(file)
-            .and_then(|model| Classifier::load(&library, &model).map(|_| model));
-        match loaded {
-            Ok(model) => {
-                let finding = format!("{} runs in {}", model.display(), library.display());
-                findings.add(Weight::Good, "model and runtime", &finding);
-            }
-            Err(error) => findings.add(Weight::Broken, "model and runtime", &error.to_string()),
         }
     }
 }
@@ -145,8 +135,11 @@ fn shared_memory(findings: &mut Findings, config: &Config) {
     }
 }
 
-fn scheduling(findings: &mut Findings) {
-    let settings = SchedulingSettings { realtime: Realtime::Auto, ..Config::default().scheduling };
+fn scheduling(findings: &mut Findings, config: &Config) {
+    // Where it is not demanded, what the machine would grant.
+    let is_demanded = config.scheduling.realtime == Realtime::On;
+    let realtime = if is_demanded { Realtime::On } else { Realtime::Auto };
+    let settings = SchedulingSettings { realtime, ..config.scheduling.clone() };
     match tendon_process::schedule(&settings, Stage::Acquisition) {
         Ok(scheduling) => {
             let (weight, remedy) = match scheduling.policy {
@@ -166,45 +159,56 @@ fn scheduling(findings: &mut Findings) {
             let remark = if shortfall.is_empty() { String::new() } else { format!(" ({shortfall})") };
             findings.add(weight, "scheduling", &format!("{scheduling}{remark}{remedy}"));
         }
-        Err(error) => findings.add(Weight::Weak, "scheduling", &error.to_string()),
+        Err(error) => findings.add(Weight::Broken, "scheduling", &error.to_string()),
     }
 }
 
+/// What sessions left that nobody runs any more.
 fn leftovers(findings: &mut Findings, clean: bool) {
     let mut found = false;
     for session in Leftovers::of_all_sessions().sessions() {
+        let lock = match SessionLock::take(&session) {
+            Ok(lock) => lock,
+            // It runs: these are its own.
+            Err(SessionLockError::InUse { .. }) => continue,
+            Err(error) => {
+                found = true;
+                findings.add(Weight::Weak, "leftovers", &error.to_string());
+                continue;
+            }
+        };
+        // One that ended meanwhile took its files along.
+        let left = Leftovers::of(&session);
+        if left.files.is_empty() {
+            continue;
+        }
         found = true;
-        match SessionLock::take(&session) {
-            Ok(lock) if clean => {
-                let Removed { files, kept } = Leftovers::remove(&lock, &session);
-                let finding = format!("session `{session}`: {files} files of a dead session removed");
-                findings.add(Weight::Good, "leftovers", &finding);
-                if let Some(first) = kept.first() {
-                    let finding = format!(
-                        "session `{session}`: {} files cannot be removed, such as {}: whose are they?",
-                        kept.len(),
-                        first.display()
-                    );
-                    findings.add(Weight::Weak, "leftovers", &finding);
-                }
-            }
-            Ok(_) => {
-                let Leftovers { files, bytes } = Leftovers::of(&session);
-                let finding = format!(
-                    "session `{session}` is dead but holds {} files, {} kB: `tendon doctor --clean` removes them",
-                    files.len(),
-                    bytes / 1000
-                );
-                findings.add(Weight::Weak, "leftovers", &finding);
-            }
-            Err(SessionLockError::InUse { holder, .. }) => {
-                let finding = format!("none of session `{session}`: {holder} runs it");
-                findings.add(Weight::Good, "leftovers", &finding);
-            }
-            Err(error) => findings.add(Weight::Weak, "leftovers", &error.to_string()),
+        if clean {
+            remove(findings, &lock, &session);
+        } else {
+            let finding = format!(
+                "session `{session}` is dead but holds {} files, {} kB: `tendon doctor --clean` removes them",
+                left.files.len(),
+                left.bytes / 1000
+            );
+            findings.add(Weight::Weak, "leftovers", &finding);
         }
     }
     if !found {
         findings.add(Weight::Good, "leftovers", "none");
+    }
+}
+
+fn remove(findings: &mut Findings, lock: &SessionLock, session: &SessionName) {
+    let Removed { files, kept } = Leftovers::remove(lock, session);
+    let finding = format!("session `{session}`: {files} files of a dead session removed");
+    findings.add(Weight::Good, "leftovers", &finding);
+    if let Some(first) = kept.first() {
+        let finding = format!(
+            "session `{session}`: {} files cannot be removed, such as {}: whose are they?",
+            kept.len(),
+            first.display()
+        );
+        findings.add(Weight::Weak, "leftovers", &finding);
     }
 }

@@ -11,6 +11,7 @@ use tendon_session::become_owner;
 use tendon_transport::SessionName;
 
 use crate::Failure;
+use crate::options::duration;
 use crate::order::user_number;
 use crate::output::{print, print_while_read};
 
@@ -27,10 +28,10 @@ pub struct Options {
     #[arg(long)]
     user: Option<String>,
     /// Time between two tables.
-    #[arg(long, value_parser = humantime::parse_duration, default_value = "1s")]
+    #[arg(long, value_parser = duration, default_value = "1s")]
     interval: Duration,
     /// Stop after this long; without it, on Ctrl-C or when the session ends.
-    #[arg(long, value_parser = humantime::parse_duration)]
+    #[arg(long, value_parser = duration)]
     duration: Option<Duration>,
 }
 

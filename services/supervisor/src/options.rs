@@ -18,20 +18,47 @@ use tendon_zones::TaskKind;
 /// Read where no other is named.
 const DEFAULT_FILE: &str = "tendon.toml";
 
-/// What can be said on the command line of `tendon run`; the rest is in the configuration.
+/// The configuration as `tendon run` and `tendon doctor` read it.
 #[derive(Debug, Args)]
-pub struct Options {
+pub struct Base {
     /// Configuration; without it, ./tendon.toml if there is one, else the defaults.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Change one key of the configuration, such as acquisition.channels=8; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
+}
+
+impl Base {
+    /// The configuration that a session without other options would have, checked. All paths absolute.
+    ///
+    /// # Errors
+    ///
+    /// What makes no sense, by name.
+    pub fn configuration(&self) -> anyhow::Result<Config> {
+        finish(self.read()?)
+    }
+
+    /// The file, then what was set.
+    fn read(&self) -> anyhow::Result<Config> {
+        let mut config = read_configuration(self.config.as_deref())?;
+        for assignment in &self.assignments {
+            config = config.with(assignment)?;
+        }
+        Ok(config)
+    }
+}
+
+/// What can be said on the command line of `tendon run`; the rest is in the configuration.
+#[derive(Debug, Args)]
+pub struct Options {
+    #[command(flatten)]
+    base: Base,
     /// Name of the session; two at a time need two names.
     #[arg(long)]
     session: Option<SessionName>,
     /// Stop after this long, such as 20s or 10m; without it, on Ctrl-C or at the recording's end.
-    #[arg(long, value_parser = humantime::parse_duration)]
+    #[arg(long, value_parser = duration)]
     pub duration: Option<Duration>,
     /// Write the report as JSON.
     #[arg(long, value_name = "FILE")]
@@ -91,10 +118,7 @@ impl Options {
     ///
     /// What makes no sense, by name.
     pub fn configuration(&self) -> anyhow::Result<Config> {
-        let mut config = read_configuration(self.config.as_deref())?;
-        for assignment in &self.assignments {
-            config = config.with(assignment)?;
-        }
+        let mut config = self.base.read()?;
         if let Some(session) = &self.session {
             config.session = session.clone();
         }
@@ -118,9 +142,7 @@ impl Options {
                 "--task is for the arm's own time: leave --pace full away"
             );
         }
-        make_paths_absolute(&mut config)?;
-        config.check()?;
-        Ok(config)
+        finish(config)
     }
 
     /// Where the samples come from.
@@ -171,7 +193,7 @@ impl Options {
 /// # Errors
 ///
 /// What is wrong with the file, by its place.
-pub fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
+fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
     let default = Path::new(DEFAULT_FILE);
     match file {
         Some(file) => Ok(Config::read(file)?),
@@ -189,10 +211,38 @@ pub fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
     }
 }
 
-fn make_paths_absolute(config: &mut Config) -> anyhow::Result<()> {
+/// Makes all paths absolute, and checks the whole.
+fn finish(mut config: Config) -> anyhow::Result<Config> {
     for path in config.files_mut() {
         *path = std::path::absolute(&path)
             .with_context(|| format!("cannot make {} an absolute path", path.display()))?;
     }
-    Ok(())
+    config.check()?;
+    Ok(config)
+}
+
+/// A time to wait or to run, such as `20s`.
+///
+/// # Errors
+///
+/// When it is none, or 0.
+pub fn duration(text: &str) -> anyhow::Result<Duration> {
+    let duration = humantime::parse_duration(text)?;
+    ensure!(!duration.is_zero(), "must be longer than 0, such as 20s");
+    Ok(duration)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_is_longer_than_0() {
+        assert_eq!(duration("20s").unwrap(), Duration::from_secs(20));
+        assert_eq!(duration("1ns").unwrap(), Duration::from_nanos(1));
+        for refused in ["0s", "0ms", "0"] {
+            assert!(duration(refused).unwrap_err().to_string().contains("longer than 0"), "{refused}");
+        }
+        duration("soon").unwrap_err();
+    }
 }

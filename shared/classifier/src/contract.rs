@@ -222,7 +222,9 @@ impl Contract {
             format!("{} at a time", source.sequence_windows),
         );
         if let Some(filter) = source.filter {
-            compare("filter", self.filter == *filter, format!("{:?}", self.filter), format!("{filter:?}"));
+            for ((key, wants), (_, has)) in filter_keys(&self.filter).into_iter().zip(filter_keys(filter)) {
+                compare(key, wants == has, wants, has);
+            }
         }
         let said = |input| match input {
             WindowInput::Raw => "the filtered signal".to_owned(),
@@ -231,6 +233,18 @@ impl Contract {
         compare("input", self.input == source.input, said(self.input), said(source.input));
         mismatches
     }
+}
+
+/// Every key of the filter with its value as `tendon.toml` writes it.
+fn filter_keys(filter: &FilterSettings) -> [(&'static str, String); 4] {
+    let FilterSettings { notch_hz, notch_quality, band_pass_hz: [low, high], band_pass_order } = filter;
+    let notch_hz = notch_hz.map_or_else(|| "\"off\"".to_owned(), |hz| hz.to_string());
+    [
+        ("dsp.filter.notch_hz", notch_hz),
+        ("dsp.filter.notch_quality", notch_quality.to_string()),
+        ("dsp.filter.band_pass_hz", format!("[{low}, {high}]")),
+        ("dsp.filter.band_pass_order", band_pass_order.to_string()),
+    ]
 }
 
 fn senseless(key: &'static str, value: &str) -> ContractProblem {
@@ -304,6 +318,19 @@ mod tests {
             input: WindowInput::Envelope,
             ..fitting
         };
+        let others = FilterSettings { notch_hz: None, band_pass_hz: [20.0, 450.5], ..filter.clone() };
+        let text: Vec<String> = contract
+            .mismatches(&WindowSource { filter: Some(&others), ..fitting })
+            .iter()
+            .map(ToString::to_string)
+            .collect();
+        assert_eq!(
+            text,
+            [
+                "dsp.filter.notch_hz: the model wants 60, the session has \"off\"",
+                "dsp.filter.band_pass_hz: the model wants [5, 500], the session has [20, 450.5]",
+            ]
+        );
         let of_sequences = Contract { sequence_windows: 5, ..contract };
         let text: Vec<String> = of_sequences.mismatches(&different).iter().map(ToString::to_string).collect();
         assert_eq!(text.len(), 6);

@@ -52,6 +52,7 @@ impl Config {
     /// Refuses paths that no `tendon.toml` can hold.
     pub(crate) fn check_paths(&self) -> Result<(), ConfigError> {
         for (key, path) in [
+            ("acquisition.program", &self.acquisition.program),
             ("acquisition.simulate.profile", &self.acquisition.simulate.profile),
             ("acquisition.replay.path", &self.acquisition.replay.path),
             ("inference.model", &self.inference.model),

@@ -2,6 +2,9 @@
 
 use std::path::PathBuf;
 
+use tendon_emg_simulation::{ProfileError, SimulationError};
+use tendon_recordings::RecordingError;
+
 /// What is wrong with a configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -14,15 +17,53 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// The file cannot be parsed.
-    #[error("{}: {message}{suggestion}", path.display())]
+    #[error("{}: {message}", path.display())]
     Parse {
         /// The file.
         path: PathBuf,
-        /// What is wrong and where.
+        /// What is wrong and where, with the nearest known key.
         message: String,
-        /// The nearest known key, as a sentence; empty when there is none.
-        suggestion: String,
     },
+    /// What was to change one key cannot be used.
+    #[error("--set {assignment}: {message}")]
+    Assignment {
+        /// What was given.
+        assignment: String,
+        /// What is wrong with it, with the nearest known key.
+        message: String,
+    },
+    /// A plain table whose sampling rate was not given.
+    #[error(
+        "{} does not state its sampling rate: give it, such as --replay-rate-hz 1000, or \
+         acquisition.replay.sample_rate_hz",
+        path.display()
+    )]
+    SampleRateMissing {
+        /// The table.
+        path: PathBuf,
+    },
+    /// The profile of the simulated DAQ could not be read.
+    #[error("{}: cannot read the profile", path.display())]
+    ReadProfile {
+        /// The file.
+        path: PathBuf,
+        /// The error of the system.
+        source: std::io::Error,
+    },
+    /// The profile of the simulated DAQ is none.
+    #[error("{}", path.display())]
+    Profile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: ProfileError,
+    },
+    /// Nothing can be simulated with the profile and the settings.
+    #[error("acquisition.simulate")]
+    Simulation(#[from] SimulationError),
+    /// The recording to replay cannot be read.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// Values of a section cannot work.
     #[error("[{section}] {reason}")]
     Section {

@@ -41,15 +41,12 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// [`ConfigError::Parse`] when there is no such key or the value does not fit it, [`ConfigError::Value`] when a path
-    /// is not UTF-8.
+    /// [`ConfigError::Assignment`] when there is no such key or the value does not fit it, [`ConfigError::Value`] when a
+    /// path is not UTF-8.
     pub fn with(&self, assignment: &str) -> Result<Config, ConfigError> {
-        let origin = PathBuf::from(format!("--set {assignment}"));
-        let no_assignment = || ConfigError::Parse {
-            path: origin.clone(),
-            message: "write KEY=VALUE, such as acquisition.channels=8".to_owned(),
-            suggestion: String::new(),
-        };
+        let refused =
+            |message: String| ConfigError::Assignment { assignment: assignment.to_owned(), message };
+        let no_assignment = || refused("write KEY=VALUE, such as acquisition.channels=8".to_owned());
         let (key, value) = assignment.split_once('=').ok_or_else(no_assignment)?;
         let value = format!("value = {value}")
             .parse::<toml::Table>()
@@ -71,7 +68,9 @@ impl Config {
                 .as_table_mut()
                 .ok_or_else(no_assignment)?;
         }
-        Config::parse(&toml::to_string(&root).map_err(|_| no_assignment())?, &origin)
+        let text = toml::to_string(&root).map_err(|_| no_assignment())?;
+        // Its line and column are of a text that nobody wrote.
+        toml::from_str(&text).map_err(|error| refused(without_place(error.message())))
     }
 
     /// Reads a configuration from `text`; `path` is only for messages.
@@ -82,7 +81,9 @@ impl Config {
     pub fn parse(text: &str, path: &Path) -> Result<Config, ConfigError> {
         toml::from_str(text).map_err(|error| {
             let message = error.to_string();
-            ConfigError::Parse { path: path.to_owned(), suggestion: suggestion(&message), message }
+            let lines = [message.trim_end().to_owned(), suggestion(&message)];
+            let message = lines.into_iter().filter(|line| !line.is_empty()).collect::<Vec<_>>().join("\n");
+            ConfigError::Parse { path: path.to_owned(), message }
         })
     }
 
@@ -93,6 +94,17 @@ impl Config {
     /// When a path is not UTF-8, which [`Config::check`] refuses.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("paths are UTF-8: checked; all else TOML can say: tested")
+    }
+}
+
+/// What is wrong with the one key that was set, in a line: with the nearest known one if there is one, else with all.
+fn without_place(message: &str) -> String {
+    match suggestion(message) {
+        near if near.is_empty() => message.trim_end().to_owned(),
+        near => {
+            let problem = message.split(", expected").next().unwrap_or(message);
+            format!("{}; {near}", problem.replace("unknown field", "unknown key"))
+        }
     }
 }
 
@@ -197,6 +209,8 @@ mod tests {
         for part in ["tendon.toml", "line 2", "block_sample", "did you mean `block_samples`?"] {
             assert!(error.contains(part), "`{part}` is not in: {error}");
         }
+        let error = parse("[robot]\nbackend = \"foo\"\n").unwrap_err();
+        assert_eq!(error, error.trim_end());
     }
 
     #[test]
@@ -213,7 +227,16 @@ mod tests {
         ] {
             let error = config.with(assignment).unwrap_err().to_string();
             assert!(error.contains(expected) && error.contains(assignment), "{error}");
+            assert!(!error.contains("line ") && !error.contains('\n'), "{error}");
         }
+        assert_eq!(
+            config.with("robot.bakend=xarm").unwrap_err().to_string(),
+            "--set robot.bakend=xarm: unknown key `bakend`; did you mean `backend`?"
+        );
+        assert_eq!(
+            config.with("robot.backend=foo").unwrap_err().to_string(),
+            "--set robot.backend=foo: unknown variant `foo`, expected `simulate` or `xarm`"
+        );
     }
 
     #[test]

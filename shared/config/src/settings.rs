@@ -1,16 +1,18 @@
 //! The settings, section by section, each key with its default.
 
 use std::net::IpAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
-use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, SimulationSettings};
+use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
-use tendon_recordings::{Channel, RecordingSettings};
+use tendon_recordings::{Channel, RecordingError, RecordingSettings, ReplayStream, Summary};
 use tendon_signal::SignalSettings;
 use tendon_transport::{Delivery, SessionName};
 use tendon_zones::TaskSettings;
+
+use crate::ConfigError;
 
 /// Channels of the 3DC armband that take the place of the paper's four electrodes.
 const MODEL_CHANNELS_OF_THREE_DC: [usize; 4] = [0, 3, 5, 8];
@@ -383,6 +385,44 @@ impl SimulateSettings {
     }
 }
 
+impl AcquisitionSettings {
+    /// Makes the simulated DAQ, and says which profile it has.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::ReadProfile`], [`ConfigError::Profile`] and [`ConfigError::Simulation`].
+    pub fn open_simulation(&self) -> Result<(SimulatedEmg, String), ConfigError> {
+        let profile = match &self.simulate.profile {
+            None => Profile::default(),
+            Some(path) => {
+                let text = std::fs::read_to_string(path)
+                    .map_err(|source| ConfigError::ReadProfile { path: path.clone(), source })?;
+                Profile::from_toml(&text)
+                    .map_err(|source| ConfigError::Profile { path: path.clone(), source })?
+            }
+        };
+        let settings = self.simulate.simulation(self.channels, self.sample_rate_hz);
+        let emg = SimulatedEmg::new(&profile, &settings)?;
+        Ok((emg, profile.source))
+    }
+
+    /// Opens the recording to replay, once it has been read through, so that a bad one is refused before anything moves.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::SampleRateMissing`] and [`ConfigError::Recording`].
+    pub fn open_recording(&self) -> Result<(Summary, ReplayStream), ConfigError> {
+        let recording = self.replay.recording(self.channels);
+        let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
+        let summary = tendon_recordings::check(path, &recording).map_err(|error| match error {
+            RecordingError::SampleRateMissing { file } => ConfigError::SampleRateMissing { path: file },
+            error => ConfigError::Recording(error),
+        })?;
+        let stream = ReplayStream::open(path, &recording, self.sample_rate_hz, self.block_samples)?;
+        Ok((summary, stream))
+    }
+}
+
 impl ReplaySettings {
     /// How the recording is read for a session of so many channels.
     pub fn recording(&self, channels: usize) -> RecordingSettings {
@@ -402,6 +442,20 @@ impl ReplaySettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_table_without_a_rate_is_refused_in_the_words_of_a_session() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("emg.csv");
+        std::fs::write(&path, "time,flexor,extensor,thumb\n0,1,2,3\n1,2,3,4\n").unwrap();
+        let mut acquisition = AcquisitionSettings::default();
+        acquisition.replay.path = Some(path);
+        let error = acquisition.open_recording().unwrap_err().to_string();
+        assert!(error.contains("--replay-rate-hz 1000, or acquisition.replay.sample_rate_hz"), "{error}");
+        acquisition.replay.sample_rate_hz = Some(1000.0);
+        let (summary, _) = acquisition.open_recording().unwrap();
+        assert_eq!(summary.channels, ["time", "flexor", "extensor", "thumb"]);
+    }
 
     #[test]
     fn a_table_gives_its_first_columns_and_a_3dc_recording_the_models_channels() {

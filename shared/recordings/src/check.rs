@@ -17,6 +17,8 @@ pub struct Summary {
     pub duration_s: f64,
     /// Columns of the first file, chosen or not.
     pub file_channels: usize,
+    /// The chosen ones in their order: by the name in the header line, else by number from 0.
+    pub channels: Vec<String>,
     /// The files in order, with their cues.
     pub cues: Vec<CueSpan>,
     /// What its user should know.
@@ -58,6 +60,7 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         sample_rate_hz,
         duration_s: samples as f64 / sample_rate_hz,
         file_channels: source.file_channels(),
+        channels: source.chosen(),
         cues,
         notices: source.notices().to_vec(),
     })

@@ -140,6 +140,14 @@ impl RecordingSource {
         }
     }
 
+    /// The chosen columns of the current file, in the order of a frame: by name where it gives one, else by number from 0.
+    pub(crate) fn chosen(&self) -> Vec<String> {
+        match &self.samples {
+            Samples::Table { table, .. } => table.chosen(),
+            Samples::Columns(columns) => (0..columns.len()).map(|column| column.to_string()).collect(),
+        }
+    }
+
     /// What its user should know, found when it was opened.
     pub fn notices(&self) -> &[Notice] {
         &self.notices

@@ -95,6 +95,15 @@ impl Table {
         &self.names
     }
 
+    /// The chosen columns in the order of a frame: by name where there is a header line, else by number from 0.
+    pub fn chosen(&self) -> Vec<String> {
+        let mut columns: Vec<_> =
+            self.places.iter().enumerate().filter(|(_, place)| place.is_some()).collect();
+        columns.sort_by_key(|(_, place)| **place);
+        let name = |column: usize| self.names.get(column).cloned().unwrap_or_else(|| column.to_string());
+        columns.into_iter().map(|(column, _)| name(column)).collect()
+    }
+
     /// Bytes of the text that have been read.
     pub fn position(&self) -> usize {
         self.position

@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 use nix::fcntl::{FcntlArg, SealFlag, fcntl};
 use nix::sys::memfd::{MFdFlags, memfd_create};
 use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::unistd::{AccessFlags, Pid, access};
 use tendon_config::Config;
 use tendon_messages::Stage;
 use tendon_process::{Order, Ready};
@@ -62,6 +62,23 @@ pub enum ChildrenError {
     /// The program does not start.
     #[error("cannot start {}: build all programs with ./scripts/run or cargo build", program.display())]
     Start {
+        /// Its file.
+        program: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The program of another source is not there.
+    #[error("{}: the program that acquisition.program names was not found: check its path", program.display())]
+    SourceMissing {
+        /// Its file.
+        program: PathBuf,
+    },
+    /// The program of another source cannot be started.
+    #[error(
+        "{}: the program that acquisition.program names cannot be started: may it be executed, and by this user?",
+        program.display()
+    )]
+    SourceRefused {
         /// Its file.
         program: PathBuf,
         /// The system's reason.
@@ -141,6 +158,21 @@ impl Running {
     }
 }
 
+/// Checks that the program that acquires instead of the one beside this program, if the configuration names one, can be
+/// started.
+///
+/// # Errors
+///
+/// [`ChildrenError::SourceMissing`] and [`ChildrenError::SourceRefused`].
+pub fn check_source_program(config: &Config) -> Result<(), ChildrenError> {
+    let Some(program) = config.acquisition.program.clone() else { return Ok(()) };
+    if !program.is_file() {
+        return Err(ChildrenError::SourceMissing { program });
+    }
+    access(&program, AccessFlags::X_OK)
+        .map_err(|source| ChildrenError::SourceRefused { program, source: source.into() })
+}
+
 impl Children {
     /// Starts all stages, which lie beside this program, on this configuration; instead of the acquisition there, the
     /// program that the configuration names. What they say comes as `events`, what they write to standard error goes to
@@ -155,6 +187,7 @@ impl Children {
         robot: &RobotLine,
         standard_error: &Writer,
     ) -> Result<Children, ChildrenError> {
+        check_source_program(config)?;
         let program = std::env::current_exe().map_err(ChildrenError::OwnFolder)?;
         let folder = program.parent().map(ToOwned::to_owned).unwrap_or_default();
         let mut children = Children {
@@ -197,7 +230,10 @@ impl Children {
             // Ctrl-C is for the supervisor alone, which then stops the stages in their order.
             .process_group(0)
             .spawn()
-            .map_err(|source| ChildrenError::Start { program, source })?;
+            .map_err(|source| match (&self.acquisition, stage) {
+                (Some(_), Stage::Acquisition) => ChildrenError::SourceRefused { program, source },
+                _ => ChildrenError::Start { program, source },
+            })?;
         let pipes = (process.stdin.take(), process.stdout.take(), process.stderr.take());
         let (Some(orders), Some(output), Some(errors)) = pipes else {
             unreachable!("all three were asked for as pipes")
@@ -397,7 +433,25 @@ impl Drop for Children {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
+
+    #[test]
+    fn the_program_of_a_source_must_be_there_and_executable() {
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("acquire");
+        let mut config = Config::default();
+        check_source_program(&config).unwrap();
+        config.acquisition.program = Some(program.clone());
+        let missing = check_source_program(&config).unwrap_err().to_string();
+        assert!(missing.contains("the program that acquisition.program names was not found"), "{missing}");
+        std::fs::write(&program, "#!/bin/sh\n").unwrap();
+        let refused = check_source_program(&config).unwrap_err().to_string();
+        assert!(refused.contains("cannot be started"), "{refused}");
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+        check_source_program(&config).unwrap();
+    }
 
     #[test]
     fn the_configuration_of_the_stages_cannot_be_changed() {

@@ -19,7 +19,7 @@ mod robot_line;
 mod watch;
 mod writer;
 
-pub use children::{ChildrenError, Event};
+pub use children::{ChildrenError, Event, check_source_program};
 pub use find::{FindError, become_owner};
 pub use keys::{Keyboard, KeyboardError, stop_on_signals};
 pub use robot_line::RobotLine;
