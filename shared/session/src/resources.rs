@@ -8,7 +8,8 @@ use std::fs;
 pub fn cpu_s(process_id: u32) -> Option<f64> {
     let mut total_ns = 0;
     for task in fs::read_dir(format!("/proc/{process_id}/task")).ok()?.flatten() {
-        let text = fs::read_to_string(task.path().join("schedstat")).ok()?;
+        // A thread may end meanwhile.
+        let Ok(text) = fs::read_to_string(task.path().join("schedstat")) else { continue };
         total_ns += text.split_whitespace().next()?.parse::<u64>().ok()?;
     }
     Some(total_ns as f64 / 1e9)
