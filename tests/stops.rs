@@ -606,7 +606,7 @@ fn an_arm_that_is_not_there_is_named_with_what_to_do() {
     let builder = Rig::builder(&emulator, &session, HOLD);
     let port = emulator.listen.control_port.to_string();
     drop(emulator);
-    builder.end().assert_failed(1, &["xArm7 at 127.0.0.1", &port, "check its cable and power"]);
+    builder.end().assert_failed(2, &["xArm7 at 127.0.0.1", &port, "check its cable and power"]);
 }
 
 /// The bar: within 250 ms in 100 of 100 kills, as after a hang and a cut.
