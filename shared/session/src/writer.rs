@@ -280,7 +280,8 @@ mod tests {
         });
         output.finish(WATCHDOG).unwrap();
         let text = reading.join().unwrap();
-        assert!(text.starts_with("line 1: ") && text.contains("lines left out)\n"), "{}", text.len());
+        // Of those that had to wait, the newest are kept.
+        assert!(text.contains("line 1000: ") && text.contains("lines left out)\n"), "{}", text.len());
     }
 
     #[test]
