@@ -34,7 +34,12 @@ const TASK_TICK: Duration = Duration::from_millis(20);
 pub fn run(options: &Options) -> Result<(), Failure> {
     let config = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
-    let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())?;
+    let outputs = SessionOutputs::check(
+        json.as_deref(),
+        latency_log.as_deref(),
+        figures.as_deref(),
+        &options.inputs(&config),
+    )?;
     let provenance = provenance::of_session(&config).map_err(Failure::input)?;
     let output = Writer::standard_output().map_err(Failure::running)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
