@@ -179,8 +179,7 @@ fn a_data_set_is_cut_with_the_filter_of_the_configuration() {
         .arg(&out)
         .end()
         .assert_failed(2, &["dsp.filter.notch_hz: the model wants 60, the data set has 50"]);
-    let evaluate =
-        TendonBuilder::command(&unique_session(), &["evaluate", "--channels", "0,1,2,3", "--model"]);
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate", "--channels", "0,1,2", "--model"]);
     evaluate
         .arg(model("cnn-six-class"))
         .arg(&out)

@@ -1,8 +1,8 @@
 //! `tendon evaluate`: how well a model recognises windows, by the code that runs live.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::anyhow;
+use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
 use tendon_classifier::Classifier;
@@ -11,6 +11,7 @@ use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
 use tendon_figures::write_score_figures;
 use tendon_output::{OutputFolder, check_distinct, collect};
 use tendon_provenance::Provenance;
+use tendon_recordings::Channel;
 
 use crate::Failure;
 use crate::output::{checked, left_out, print};
@@ -75,12 +76,7 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let mut works = Works::default();
     let scored = match &options.paths[..] {
         [folder] if StoredDataset::is_one(folder) => {
-            if options.channels.is_some() {
-                return Err(Failure::input(anyhow!(
-                    "--channels is for recordings, but {} is a data set, which has its channels: leave --channels out",
-                    folder.display()
-                )));
-            }
+            check_channels(options, folder).map_err(Failure::input)?;
             let mut progress = |done, total| works.show(done, total, "windows", String::new);
             score_dataset(classifier, folder, &options.people, &mut progress)
         }
@@ -102,6 +98,19 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let drawn = figures.iter().flat_map(|folder| write_score_figures(folder, &options.model, &tally));
     let written = collect(json.chain(drawn)).map_err(Failure::running);
     written.and(print(text(options, &scores, trained.as_deref())).map_err(Failure::running))
+}
+
+/// Refuses channels that are not those of the data set: its windows cannot be given others.
+fn check_channels(options: &Options, folder: &Path) -> anyhow::Result<()> {
+    let Some(channels) = &options.channels else { return Ok(()) };
+    let named: Vec<Channel> = channels.iter().copied().map(Channel::Index).collect();
+    let dataset = StoredDataset::open(folder)?;
+    ensure!(
+        named == dataset.manifest().settings.channels,
+        "--channels is for recordings, but {} is a data set of other channels: leave --channels out",
+        folder.display()
+    );
+    Ok(())
 }
 
 /// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
