@@ -318,7 +318,7 @@ fn a_file_that_may_not_be_read() {
     for reader in BOUNDED.into_iter().chain(UNBOUNDED) {
         let make = |path: &Path| {
             fs::write(path, "").unwrap();
-            fs::set_permissions(path, fs::Permissions::from_mode(0)).unwrap();
+            fs::set_permissions(path, fs::Permissions::from_mode(0o000)).unwrap();
         };
         assert_input_refused(reader, make, "Permission denied");
     }
