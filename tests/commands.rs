@@ -146,6 +146,50 @@ fn a_data_set_is_built_from_real_recordings() {
     assert!((1..1000).contains(&(bytes - windows * 4 * 600 * 4)), "{bytes} bytes for {windows} windows");
 }
 
+#[test]
+fn a_data_set_is_cut_with_the_filter_of_the_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = folder.path().join("Participant50/train/EMG");
+    write_three_dc(&recordings);
+    std::fs::write(folder.path().join("mine.toml"), "[dsp.filter]\nnotch_hz = 50\n").unwrap();
+    let config = folder.path().join("mine.toml");
+    let config = config.to_str().unwrap();
+    let cases: [(&[&str], serde_json::Value); 4] = [
+        (&[], 60.0.into()),
+        (&["--config", config], 50.0.into()),
+        (&["--config", config, "--set", "dsp.filter.notch_hz=off"], "off".into()),
+        (&["--filtered"], serde_json::Value::Null),
+    ];
+    for (options, notch_hz) in cases {
+        let out = folder.path().join("windows");
+        let build = TendonBuilder::command(&unique_session(), &["dataset", "build", "--channels", "0,1,2,3"]);
+        let ended = build.args(options).arg("--out").arg(&out).arg(&recordings).end();
+        assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+        let manifest = std::fs::read_to_string(out.join("manifest.json")).unwrap();
+        let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+        let filter = &manifest["settings"]["filter"];
+        assert_eq!(filter.get("notch_hz").unwrap_or(filter), &notch_hz, "{options:?}");
+        assert_eq!(manifest["settings"]["windows"]["window_samples"], 600);
+    }
+    // A model that was trained with another notch is refused for such a data set.
+    let out = folder.path().join("fifty");
+    let build = TendonBuilder::command(&unique_session(), &["dataset", "build", "--channels", "0,1,2,3"]);
+    let build = build.args(&["--set", "dsp.filter.notch_hz=50", "--set", "dsp.windows.window_samples=600"]);
+    assert_eq!(build.arg("--out").arg(&out).arg(&recordings).end().exit_code, Some(0));
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate", "--model"]);
+    evaluate
+        .arg(model("cnn-six-class"))
+        .arg(&out)
+        .end()
+        .assert_failed(2, &["dsp.filter.notch_hz: the model wants 60, the data set has 50"]);
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate", "--channels", "0,1,2", "--model"]);
+    evaluate
+        .arg(model("cnn-six-class"))
+        .arg(&out)
+        .end()
+        .assert_failed(2, &["--channels is for recordings", "leave --channels out"]);
+}
+
 /// Somebody whom no model that comes with Tendon was trained on.
 const PERSON: &str = "50";
 

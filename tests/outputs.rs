@@ -30,6 +30,33 @@ fn an_output_that_cannot_be_written_is_refused_before_anything_starts() {
 }
 
 #[test]
+fn outputs_that_would_replace_each_other_or_what_is_read_are_refused() {
+    let six = model("cnn-six-class");
+    let evaluate = ["evaluate", "emg", "--model", six.to_str().unwrap()];
+    let cases: [(&[&str], &[&str]); 6] = [
+        (&["run", "--json", "a.json", "--figures", "a.json"], &["a.json", "two outputs"]),
+        (&["run", "--latency-log", "a", "--figures", "./b/../a/figures"], &["lies below a", "another path"]),
+        (&["run", "--json", "mine.toml", "--config", "mine.toml"], &["mine.toml", "what the command reads"]),
+        (&[&evaluate[..], &["--json", "scores", "--figures", "scores"]].concat(), &["scores", "two outputs"]),
+        (&["strategies", "emg.csv", "--json", "emg.csv"], &["emg.csv", "what the command reads"]),
+        (&["profile", "fit", "emg.csv", "--out", "emg.csv"], &["emg.csv", "what the command reads"]),
+    ];
+    for (arguments, parts) in cases {
+        let builder = TendonBuilder::command(&unique_session(), arguments);
+        let folder = builder.folder().to_owned();
+        fs::create_dir(folder.join("b")).unwrap();
+        for input in ["mine.toml", "emg.csv"] {
+            fs::write(folder.join(input), "").unwrap();
+        }
+        let before = fs::read_dir(&folder).unwrap().count();
+        let mut tendon = builder.start();
+        tendon.end_whatever_is_left().assert_failed(2, parts);
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), before, "{arguments:?}");
+        assert_eq!(fs::read(folder.join("emg.csv")).unwrap(), b"", "{arguments:?}");
+    }
+}
+
+#[test]
 fn a_full_disk_is_an_error_and_keeps_no_other_file_from_being_written() {
     let session = unique_session();
     let figures = tempfile::tempdir().unwrap();
@@ -110,8 +137,6 @@ fn a_session_that_cannot_start_writes_its_report_with_the_reason() {
             &["robot.backend=xarm", "robot.xarm.address=127.0.0.1", "robot.xarm.control_port=1"],
             &["tendon robot: error:", "127.0.0.1:1 ", "check its cable and power"],
         ),
-        // Nothing is started.
-        (&["acquisition.chanels=8"], &["unknown key `chanels`"]),
     ] {
         let mut builder = TendonBuilder::run(&unique_session());
         for setting in settings {
@@ -119,6 +144,7 @@ fn a_session_that_cannot_start_writes_its_report_with_the_reason() {
         }
         assert_not_started(&builder.end(), reasons);
     }
+    // Nothing is started.
     let missing = Path::new("/nowhere/model.onnx");
     let ended = TendonBuilder::run_with_model(&unique_session(), missing).end();
     assert_not_started(&ended, &["cannot open /nowhere/model.onnx"]);

@@ -6,7 +6,7 @@ use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use tendon_emg_simulation::{FitSettings, Profile, Segment, fit as fit_profile};
 use tendon_gesture::Gesture;
-use tendon_output::collect;
+use tendon_output::{check_distinct, collect};
 use tendon_recordings::{Channel, RecordingSettings, RecordingSource};
 
 use crate::Failure;
@@ -45,6 +45,8 @@ pub struct FitOptions {
 /// Fits and writes a profile.
 pub fn fit(options: &FitOptions) -> Result<(), Failure> {
     let out = checked(Some(&options.out))?;
+    let inputs = options.recordings.iter().map(PathBuf::as_path);
+    check_distinct(&out, [], inputs).map_err(Failure::input)?;
     let profile = fitted(options).map_err(Failure::input)?;
     collect(out.iter().map(|file| file.write_bytes(profile.to_toml().as_bytes())))
         .map_err(Failure::running)?;

@@ -32,16 +32,22 @@ const TICK: Duration = Duration::from_millis(50);
 /// The same with a task: the simulated user answers no later than a person would notice.
 const TASK_TICK: Duration = Duration::from_millis(20);
 
-/// Runs a session. However it ends, the files that were asked for are written.
+/// Runs a session. However it ends, the files that were asked for are written; not with a configuration that makes no
+/// sense, because it may name one of them as an input.
 pub fn run(options: &Options) -> Result<(), Failure> {
+    let config = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
-    let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())?;
+    let outputs = SessionOutputs::check(
+        json.as_deref(),
+        latency_log.as_deref(),
+        figures.as_deref(),
+        &options.inputs(&config),
+    )?;
     let output = Writer::standard_output().map_err(Failure::running)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
     let terminal = Terminal { output, errors };
     let mut known = Known::default();
-    known.facts.provenance = Provenance::begin(provenance::PROGRAM);
-    let result = run_configured(options, &mut known, &terminal);
+    let result = run_configured(options, &config, &mut known, &terminal);
     let written = known.report(&result, &outputs, &terminal);
     // What is said of the end comes after all else, if the terminal takes it.
     let _ = terminal.errors.finish(TERMINAL_TIMEOUT);
@@ -95,15 +101,19 @@ impl Known {
     }
 }
 
-fn run_configured(options: &Options, known: &mut Known, terminal: &Terminal) -> Result<(), Failure> {
-    let config = options.configuration().map_err(Failure::input)?;
-    known.configured(&config)?;
+fn run_configured(
+    options: &Options,
+    config: &Config,
+    known: &mut Known,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
+    known.configured(config)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
     Leftovers::remove(&lock, &config.session);
-    let result = checks::shared_memory(&config)
+    let result = checks::shared_memory(config)
         .map_err(Failure::input)
-        .and_then(|_| run_locked(options, &config, known, terminal));
+        .and_then(|_| run_locked(options, config, known, terminal));
     Leftovers::remove(&lock, &config.session);
     result
 }

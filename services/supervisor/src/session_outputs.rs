@@ -1,6 +1,6 @@
 //! The files that `tendon run` is asked to write.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tendon_figures::{FigureError, latency_figure, zones_figure};
@@ -21,7 +21,7 @@ pub struct SessionOutputs {
 }
 
 impl SessionOutputs {
-    /// Checks that everything can be written.
+    /// Checks that everything can be written, and that no output replaces another or one of `inputs`.
     ///
     /// # Errors
     ///
@@ -30,13 +30,16 @@ impl SessionOutputs {
         json: Option<&Path>,
         latency_log: Option<&Path>,
         figures: Option<&Path>,
+        inputs: &[PathBuf],
     ) -> Result<SessionOutputs, Failure> {
         let outputs = SessionOutputs {
             json: checked(json)?,
             latency_log: checked(latency_log)?,
             figures: figures.map(OutputFolder::check).transpose().map_err(Failure::input)?,
         };
-        check_distinct(outputs.json.iter().chain(&outputs.latency_log)).map_err(Failure::input)?;
+        let files = outputs.json.iter().chain(&outputs.latency_log);
+        check_distinct(files, &outputs.figures, inputs.iter().map(PathBuf::as_path))
+            .map_err(Failure::input)?;
         Ok(outputs)
     }
 

@@ -113,16 +113,11 @@ impl Classifier {
             path: library.to_owned(),
             reason: error.to_string(),
         })?;
-        if !model.is_file() {
-            return Err(ClassifierError::Model {
-                path: model.to_owned(),
-                reason: "there is no such file".to_owned(),
-            });
-        }
         let model_error = |error: &dyn std::fmt::Display| ClassifierError::Model {
             path: model.to_owned(),
             reason: one_line(&error.to_string()),
         };
+        tendon_input::check(model, tendon_input::LARGEST_MODEL).map_err(|error| model_error(&error))?;
         let contract_error = |problem| ClassifierError::Contract { path: model.to_owned(), problem };
         let session = open_session(&environment, model).map_err(|error| model_error(&error))?;
         let contract = {

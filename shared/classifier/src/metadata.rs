@@ -15,7 +15,7 @@ const METADATA: u64 = 14;
 ///
 /// When the file cannot be read.
 pub fn people_trained(model: &Path) -> io::Result<Vec<u16>> {
-    let content = std::fs::read(model)?;
+    let content = tendon_input::read(model, tendon_input::LARGEST_MODEL)?;
     let people = metadata(&content, "tendon.people_trained").unwrap_or_default();
     Ok(people.split_whitespace().filter_map(|number| number.parse().ok()).collect())
 }

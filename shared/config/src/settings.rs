@@ -395,7 +395,7 @@ impl AcquisitionSettings {
         let profile = match &self.simulate.profile {
             None => Profile::default(),
             Some(path) => {
-                let text = std::fs::read_to_string(path)
+                let text = tendon_input::read_text(path, tendon_input::LARGEST_SETTINGS)
                     .map_err(|source| ConfigError::ReadProfile { path: path.clone(), source })?;
                 Profile::from_toml(&text)
                     .map_err(|source| ConfigError::Profile { path: path.clone(), source })?

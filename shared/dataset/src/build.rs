@@ -91,6 +91,12 @@ pub enum DatasetError {
         /// What the system says.
         reason: io::Error,
     },
+    /// Something else than a file lies where one of the data set is to be written.
+    #[error("{} is no regular file: remove it, or choose another folder", .path.display())]
+    NotAFile {
+        /// What lies there.
+        path: PathBuf,
+    },
     /// The manifest cannot be written.
     #[error(transparent)]
     Manifest(#[from] OutputError),
@@ -226,6 +232,7 @@ impl<'a> Builder<'a> {
         out_dir: &'a Path,
     ) -> Result<(Builder<'a>, bool), DatasetError> {
         fs::create_dir_all(out_dir).map_err(write_error(out_dir))?;
+        check_targets(out_dir)?;
         let (mut journal, earlier) =
             Journal::open(out_dir, settings, &found.recordings).map_err(|error| match error {
                 JournalError::InUse => DatasetError::InUse { out_dir: out_dir.to_owned() },
@@ -340,6 +347,18 @@ impl<'a> Builder<'a> {
         OutputFile::check(&manifest_path).and_then(|file| file.write_json(&manifest))?;
         journal.remove(out_dir).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
         Ok(manifest)
+    }
+}
+
+/// Refuses a folder in which something else than a file lies where one of the data set is to be: opening a pipe, for
+/// instance, would wait forever.
+fn check_targets(out_dir: &Path) -> Result<(), DatasetError> {
+    let names =
+        [journal::FILE_NAME, WINDOWS, LABELS, PEOPLE, REPETITIONS, RECORDINGS, STARTS, SPLITS, MANIFEST];
+    let is_other = |path: &PathBuf| path.metadata().is_ok_and(|metadata| !metadata.is_file());
+    match names.map(|name| out_dir.join(name)).into_iter().find(is_other) {
+        Some(path) => Err(DatasetError::NotAFile { path }),
+        None => Ok(()),
     }
 }
 

@@ -77,7 +77,8 @@ struct Labels {
 pub fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<LabelledFile>, LabelsError> {
     let path = folder.join(FILE_NAME);
     let wrong = |line: u64, problem| LabelsError { path: path.clone(), line, problem };
-    let text = fs::read(&path).map_err(|error| wrong(1, LabelsProblem::Read(error)))?;
+    let text = tendon_input::read(&path, tendon_input::LARGEST_LIST)
+        .map_err(|error| wrong(1, LabelsProblem::Read(error)))?;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .flexible(true)

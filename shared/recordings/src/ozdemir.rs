@@ -106,7 +106,7 @@ pub fn open(
 }
 
 fn open_mat(path: &Path) -> Result<MatFile<File>, RecordingError> {
-    let file = File::open(path).map_err(RecordingError::open(path))?;
+    let file = tendon_input::open(path).map_err(RecordingError::open(path))?;
     MatFile::open(file).map_err(RecordingError::mat(path))
 }
 
