@@ -41,6 +41,43 @@ fn a_model_of_random_bytes_and_a_truncated_one() {
 }
 
 #[test]
+fn a_model_that_is_not_what_its_metadata_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.onnx");
+    let mut bytes = std::fs::read(model("cnn-five-gesture")).unwrap();
+    let entry = b"tendon.window_samples\x12\x03600";
+    let start = bytes.windows(entry.len()).position(|window| window == entry).unwrap();
+    bytes[start + entry.len() - 3] = b'5';
+    std::fs::write(&path, bytes).unwrap();
+    let parts = [
+        "the model's input is 1 × 4 × 600 float32 numbers, but the metadata want 1 × 4 × 500 float32 numbers",
+        "models/training/train.py",
+    ];
+    assert_model_refused(&path, &parts);
+}
+
+#[test]
+fn a_table_of_which_nothing_says_what_it_shows() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("emg.csv");
+    std::fs::write(&table, "1,2,3,4\n".repeat(1000)).unwrap();
+    let path = table.to_str().unwrap();
+    let six = model("cnn-six-class");
+    let build = ["dataset", "build", path, "--out", "windows"];
+    let evaluate = ["evaluate", path, "--model", six.to_str().unwrap()];
+    let refused = |arguments: &[&str], parts: &[&str]| {
+        TendonBuilder::command(&unique_session(), arguments).end().assert_failed(2, parts);
+    };
+    for command in [&build[..], &evaluate, &["strategies", path]] {
+        let header = "file,person,session,repetition,gesture,start_sample,end_sample";
+        refused(command, &["emg.csv", "no labels.csv names it: write one beside it", header]);
+    }
+    refused(&["profile", "fit", path, "--out", "me.toml"], &["emg.csv", "give a folder of the 3DC layout"]);
+    std::fs::write(folder.path().join("labels.csv"), "").unwrap();
+    refused(&build, &["give its folder, so that", "labels.csv says what it shows"]);
+}
+
+#[test]
 fn a_model_for_another_session() {
     for (setting, what) in [
         ("acquisition.channels=3", "channels: the model wants 4, the session has 3"),

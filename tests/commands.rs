@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
 use nix::sys::signal::Signal;
-use tendon_system_tests::recordings::{real_three_dc, write_three_dc};
+use tendon_system_tests::recordings::{MOVEMENT, Stretch, real_three_dc, write_table, write_three_dc};
 use tendon_system_tests::{TendonBuilder, model, program, repository, unique_session};
 
 #[test]
@@ -301,6 +301,13 @@ fn nobody_is_scored_whom_the_model_was_trained_on() {
     let ended = evaluate(&[]);
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
     assert!(ended.output.contains("on people 50"), "{ended:#?}");
+    // Person 7 of another data set is somebody else.
+    let trial = folder.path().join("P7_C0_G1.csv");
+    write_table(&trial, &[Stretch { samples: 8000, amplitudes: MOVEMENT }]);
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate", "--channels", "0,1,2,3"]);
+    let ended = evaluate.arg(&trial).arg("--model").arg(model("cnn-six-class")).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    assert!(ended.output.contains("on people 7"), "{ended:#?}");
 }
 
 #[test]

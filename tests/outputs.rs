@@ -8,7 +8,7 @@ use std::path::Path;
 use nix::sys::signal::{Signal, kill};
 use serde_json::Value;
 use tendon_report::{Outcome, Report};
-use tendon_system_tests::recordings::write_three_dc;
+use tendon_system_tests::recordings::{MOVEMENT, Stretch, write_table, write_three_dc};
 use tendon_system_tests::{Ended, TendonBuilder, model, unique_session, wait_until};
 
 #[test]
@@ -111,6 +111,22 @@ fn a_report_says_where_it_comes_from() {
         let hash = provenance.recording.unwrap();
         assert_eq!(hash.files as usize, fs::read_dir(&recording).unwrap().count());
         assert_eq!(provenance.trained_on_person, Some(is_trained_on));
+    }
+}
+
+#[test]
+fn a_person_of_another_data_set_is_not_the_one_whom_a_model_was_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    // Person 11 of the Ozdemir data set is not person 11 of 3DC, and nobody knows who person 11 of a table is.
+    for (name, is_trained_on) in [("P11_C0_G1.csv", Some(false)), ("person11.csv", None)] {
+        let table = folder.path().join(name);
+        let stretch = Stretch { samples: 12_000, amplitudes: MOVEMENT };
+        write_table(&table, &[stretch]);
+        let ended = TendonBuilder::run(&unique_session())
+            .args(&["--pace", "full", "--replay-rate-hz", "2000", "--replay"])
+            .arg(&table)
+            .end();
+        assert_eq!(ended.report().provenance.trained_on_person, is_trained_on, "{name}");
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
-use tendon_classifier::Classifier;
+use tendon_classifier::{Classifier, TrainedOn};
 use tendon_dataset::StoredDataset;
 use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
 use tendon_figures::write_score_figures;
@@ -72,7 +72,7 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
         tendon_classifier::runtime_library(options.runtime_library.as_deref()).map_err(Failure::input)?;
     let classifier = Classifier::load(&library, &options.model).map_err(Failure::input)?;
     let trained = classifier.contract().provenance.clone();
-    let people_trained = classifier.contract().people_trained.clone();
+    let trained_on = classifier.contract().trained_on.clone();
     let mut works = Works::default();
     let scored = match &options.paths[..] {
         [folder] if StoredDataset::is_one(folder) => {
@@ -87,9 +87,9 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     };
     works.clear();
     let (scores, tally) = scored.map_err(failure)?;
-    let is_trained_on = scores.people.iter().any(|person| people_trained.contains(person));
+    let people: Vec<u16> = scores.people.iter().copied().collect();
     let provenance = Provenance {
-        trained_on_person: (!people_trained.is_empty()).then_some(is_trained_on),
+        trained_on_person: TrainedOn::any_includes([&trained_on], scores.data_set.as_deref(), &people),
         ..provenance(options, begun).map_err(Failure::running)?
     };
     // Neither a full disk nor a closed output keeps the others from being written.

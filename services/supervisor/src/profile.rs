@@ -7,7 +7,7 @@ use clap::{Args, Subcommand};
 use tendon_emg_simulation::{FitSettings, Profile, Segment, fit as fit_profile};
 use tendon_gesture::Gesture;
 use tendon_output::{check_distinct, collect};
-use tendon_recordings::{Channel, RecordingSettings, RecordingSource};
+use tendon_recordings::{Channel, RecordingSettings, RecordingSource, three_dc};
 
 use crate::Failure;
 use crate::output::{checked, print, tell};
@@ -67,6 +67,12 @@ fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
     let mut segments: Vec<(Gesture, Vec<f32>)> = Vec::new();
     let mut sample_rate_hz = None;
     for path in &options.recordings {
+        ensure!(
+            three_dc::is_three_dc(path),
+            "{}: a table does not say which gestures were made: give a folder of the 3DC layout \
+             (…/ParticipantP/train/EMG), or one of its files",
+            path.display()
+        );
         let mut recording = RecordingSource::open(path, &settings)?;
         let rate = recording.sample_rate_hz();
         ensure!(

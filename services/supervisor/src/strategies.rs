@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{anyhow, ensure};
 use clap::Args;
 use serde::Serialize;
+use tendon_classifier::TrainedOn;
 use tendon_config::Config;
 use tendon_dataset::{Recording, list};
 use tendon_evaluation::{
@@ -123,11 +124,13 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     let settings = dataset_settings(pipelines[0].1.settings(), &options.channels);
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let known: BTreeSet<u16> = found.recordings.iter().map(|recording| recording.person).collect();
-    let trained = pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().people_trained()).collect();
+    let data_set = found.layout.data_set();
+    let models = || pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().trained_on());
+    let trained = models().flat_map(|model| model.people_of(data_set)).copied().collect();
     let people = chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
-    let is_trained_on = people.iter().any(|person| trained.contains(person));
+    let scored: Vec<u16> = people.iter().copied().collect();
     let provenance = Provenance {
-        trained_on_person: (!trained.is_empty()).then_some(is_trained_on),
+        trained_on_person: TrainedOn::any_includes(models(), data_set, &scored),
         ..provenance(options, &pipelines, begun).map_err(Failure::running)?
     };
     let recordings: Vec<Recording> =

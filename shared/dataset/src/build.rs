@@ -15,7 +15,7 @@ use tendon_signal::DesignError;
 use crate::cut::{Outcome, trials};
 use crate::files::{LABELS, MANIFEST, PEOPLE, RECORDINGS, REPETITIONS, SPLITS, STARTS, WINDOWS};
 use crate::journal::{self, Earlier, Finished, Journal, JournalError};
-use crate::listing::{ListingError, Recordings, list};
+use crate::listing::{Layout, ListingError, Recordings, list};
 use crate::manifest::{Content, Manifest};
 use crate::ordered;
 use crate::recording::Recording;
@@ -209,6 +209,7 @@ enum Step {
 /// The data set being written.
 struct Builder<'a> {
     settings: &'a DatasetSettings,
+    layout: Layout,
     out_dir: &'a Path,
     journal: Journal,
     windows: NpyWriter<f32>,
@@ -260,6 +261,7 @@ impl<'a> Builder<'a> {
         journal.keep_recordings(whole).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
         let mut builder = Builder {
             settings,
+            layout: found.layout,
             out_dir,
             journal,
             windows,
@@ -318,7 +320,7 @@ impl<'a> Builder<'a> {
     }
 
     fn finish(self, building: &BuildSettings) -> Result<Manifest, DatasetError> {
-        let Builder { settings, out_dir, journal, windows, recordings, skipped, notices, .. } = self;
+        let Builder { settings, layout, out_dir, journal, windows, recordings, skipped, notices, .. } = self;
         let count = windows.rows();
         if count == 0 {
             let first_reason = match skipped.first() {
@@ -338,7 +340,7 @@ impl<'a> Builder<'a> {
         let mut stored = MappedArray::open(&windows_path, 2)
             .map_err(|error| write_error(&windows_path)(io::Error::other(error)))?;
         let statistics = split::statistics(&mut stored, &splits, &recordings);
-        let content = Content { windows: count, recordings, skipped, notices };
+        let content = Content { layout, windows: count, recordings, skipped, notices };
         let manifest = Manifest {
             provenance: building.provenance.clone(),
             ..Manifest::of(settings, content, split, statistics)

@@ -33,7 +33,7 @@ pub enum StoredDatasetProblem {
     #[error("{0}")]
     Array(NpyError),
     /// Windows of another shape.
-    #[error("has windows of {found:?}, the manifest says {expected:?}")]
+    #[error("has windows of {}, the manifest says {}", product(found), product(expected))]
     Shape {
         /// Channels and samples of the windows.
         found: Vec<usize>,
@@ -67,6 +67,11 @@ pub enum StoredDatasetProblem {
     /// Windows of one trial are scattered.
     #[error("the windows of a recording are not next to each other")]
     Scattered,
+}
+
+/// `4 × 600`, channels by samples.
+fn product(shape: &[usize]) -> String {
+    shape.iter().map(ToString::to_string).collect::<Vec<_>>().join(" × ")
 }
 
 /// Windows, whose they are and what they show, mapped into memory.

@@ -24,7 +24,8 @@ pub use problem::{LabelsError, LabelsProblem};
 /// Name of the file.
 pub const FILE_NAME: &str = "labels.csv";
 
-const COLUMNS: [&str; 7] =
+/// Its columns.
+pub const COLUMNS: [&str; 7] =
     ["file", "person", "session", "repetition", "gesture", "start_sample", "end_sample"];
 /// Of these, those that must be there.
 const REQUIRED: [&str; 4] = ["file", "person", "repetition", "gesture"];
