@@ -46,6 +46,8 @@ struct Decision {
 }
 
 impl Consumer<PredictionHeader, f32> for Decision {
+    type Error = anyhow::Error;
+
     fn take(
         &mut self,
         process: &mut StageProcess,

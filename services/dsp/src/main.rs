@@ -63,6 +63,8 @@ struct Output {
 }
 
 impl Consumer<BlockHeader, f32> for Dsp {
+    type Error = anyhow::Error;
+
     fn take(
         &mut self,
         process: &mut StageProcess,

@@ -94,6 +94,8 @@ struct Rehearsal {
 }
 
 impl Consumer<WindowHeader, f32> for Inference {
+    type Error = anyhow::Error;
+
     fn take(
         &mut self,
         process: &mut StageProcess,

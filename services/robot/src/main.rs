@@ -204,7 +204,7 @@ impl Robot {
         }
         if self.controller.is_ready() || process.is_restarted || self.delivery == Delivery::Lossless {
             self.is_introduced = true;
-            return process.ready(&self.controller.description());
+            return Ok(process.ready(&self.controller.description())?);
         }
         match self.controller.failure() {
             None => Ok(()),
@@ -228,7 +228,7 @@ impl Robot {
             process.measurements.record_command_to_wire(took_ns)?;
         }
         self.publish_state(process)?;
-        process.measurements.publish_if_due()
+        Ok(process.measurements.publish_if_due()?)
     }
 
     /// Reads and removes the record of how the arm was left, before anything moves.
@@ -301,7 +301,7 @@ impl Robot {
             Taken::Fresh => {}
         }
         let measurement = process.measure(&trace, None);
-        process.measurements.record(measurement)
+        Ok(process.measurements.record(measurement)?)
     }
 
     /// Stops the arm, and leaves a record if everything is in good order and the arm is at rest.

@@ -9,13 +9,13 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::Context;
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tendon_transport::{SessionName, now_ns};
 
+use crate::error::ProcessError;
 use crate::orders::{Asker, MAXIMUM_LINE_LENGTH, Order, OrderSocket};
 
 /// Why a wait ended.
@@ -49,13 +49,13 @@ impl Control {
     /// # Errors
     ///
     /// When the system grants no pipe or handler.
-    pub fn install() -> anyhow::Result<Control> {
+    pub fn install() -> Result<Control, ProcessError> {
         let stop = Arc::new(AtomicBool::new(false));
-        let (signal_pipe, signal_end) = std::io::pipe().context("cannot make a pipe for signals")?;
+        let (signal_pipe, signal_end) = std::io::pipe().map_err(ProcessError::Signals)?;
         for signal in [SIGINT, SIGTERM] {
-            signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;
-            let end = signal_end.try_clone().context("cannot duplicate the pipe for signals")?;
-            signal_hook::low_level::pipe::register(signal, end).context("cannot handle signals")?;
+            signal_hook::flag::register(signal, stop.clone()).map_err(ProcessError::Signals)?;
+            let end = signal_end.try_clone().map_err(ProcessError::Signals)?;
+            signal_hook::low_level::pipe::register(signal, end).map_err(ProcessError::Signals)?;
         }
         Ok(Control {
             stop,
@@ -72,7 +72,7 @@ impl Control {
     /// # Errors
     ///
     /// When the socket cannot be made.
-    pub fn listen(&mut self, session: &SessionName) -> anyhow::Result<()> {
+    pub fn listen(&mut self, session: &SessionName) -> Result<(), ProcessError> {
         self.socket = Some(OrderSocket::open(session)?);
         Ok(())
     }
@@ -115,7 +115,11 @@ impl Control {
     /// # Errors
     ///
     /// When the kernel refuses to poll.
-    pub fn wait(&mut self, input: Option<BorrowedFd<'_>>, deadline_ns: Option<u64>) -> anyhow::Result<Wake> {
+    pub fn wait(
+        &mut self,
+        input: Option<BorrowedFd<'_>>,
+        deadline_ns: Option<u64>,
+    ) -> Result<Wake, ProcessError> {
         loop {
             if self.is_stopped() {
                 return Ok(Wake::Stop);
@@ -139,7 +143,7 @@ impl Control {
                 Ok(0) => return Ok(Wake::Deadline),
                 Ok(_) => {}
                 Err(Errno::EINTR) => continue,
-                Err(error) => return Err(error).context("cannot wait for messages"),
+                Err(error) => return Err(ProcessError::Wait(error)),
             }
             let is_ready = |descriptor: &PollFd<'_>| descriptor.any() == Some(true);
             let [signals, orders, asked, messages] = descriptors.each_ref().map(is_ready);
@@ -172,7 +176,7 @@ impl Control {
         }
     }
 
-    fn read_orders(&mut self) -> anyhow::Result<()> {
+    fn read_orders(&mut self) -> Result<(), ProcessError> {
         if self.line.len() >= MAXIMUM_LINE_LENGTH {
             self.line.clear();
         }
@@ -185,7 +189,7 @@ impl Control {
             }
             Ok(count) => self.line.extend_from_slice(&bytes[..count]),
             Err(Errno::EINTR | Errno::EAGAIN) => {}
-            Err(error) => return Err(error).context("cannot read orders from standard input"),
+            Err(error) => return Err(ProcessError::Orders(error)),
         }
         Ok(())
     }

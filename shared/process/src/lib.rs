@@ -12,6 +12,7 @@
 
 mod allocations;
 mod control;
+mod error;
 mod measure;
 mod orders;
 mod scheduling;
@@ -21,7 +22,6 @@ use std::os::fd::AsFd;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use anyhow::Context;
 use clap::Parser;
 use serde::{Deserialize, Serialize};
 use tendon_config::Config;
@@ -30,6 +30,7 @@ use tendon_transport::{Delivery, Element, Received, Session, Subscriber, now_ns}
 
 pub use allocations::allocations;
 pub use control::{Control, Wake};
+pub use error::{ProcessError, WorkError, with_causes};
 pub use measure::{BATCH_LENGTH, Measurements};
 pub use orders::{Asker, Order, OrderError, order_robot};
 pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
@@ -63,12 +64,16 @@ pub struct Ready {
 
 /// A stage's own work: what it does with each message of its one input.
 pub trait Consumer<H: Traced, E: Element> {
+    /// What can go wrong in it.
+    type Error: Into<WorkError>;
+
     /// Does the stage's work on one message, and says what it measured.
     ///
     /// # Errors
     ///
     /// What ends the session: a message that cannot be one of this session, or a transport that is broken.
-    fn take(&mut self, process: &mut StageProcess, message: &Received<H, E>) -> anyhow::Result<Measured>;
+    fn take(&mut self, process: &mut StageProcess, message: &Received<H, E>)
+    -> Result<Measured, Self::Error>;
 
     /// When the consumer wants [`Consumer::rehearse`] to be called, CLOCK_MONOTONIC ns, if no message comes
     /// first.
@@ -81,7 +86,7 @@ pub trait Consumer<H: Traced, E: Element> {
     /// # Errors
     ///
     /// As [`Consumer::take`].
-    fn rehearse(&mut self) -> anyhow::Result<()> {
+    fn rehearse(&mut self) -> Result<(), Self::Error> {
         Ok(())
     }
 }
@@ -114,7 +119,7 @@ impl StageProcess {
     /// # Errors
     ///
     /// When the other's memory cannot be mapped.
-    pub fn connect<H: Traced, E: Element>(&mut self, input: &Subscriber<H, E>) -> anyhow::Result<()> {
+    pub fn connect<H: Traced, E: Element>(&mut self, input: &Subscriber<H, E>) -> Result<(), ProcessError> {
         let mut orders = Vec::new();
         while !input.connect()? {
             match self.control.wait(Some(input.as_fd()), None)? {
@@ -132,15 +137,15 @@ impl StageProcess {
     /// # Errors
     ///
     /// When standard output is closed or the measurements cannot be published.
-    pub fn ready(&mut self, detail: &str) -> anyhow::Result<()> {
+    pub fn ready(&mut self, detail: &str) -> Result<(), ProcessError> {
         let ready = Ready {
             stage: self.stage.name().to_owned(),
             scheduling: self.scheduling.clone(),
             detail: detail.to_owned(),
         };
         self.measurements.publish()?;
-        let line = serde_json::to_string(&ready).context("cannot say ready")?;
-        writeln!(std::io::stdout(), "{line}").context("cannot say ready on standard output")?;
+        let line = serde_json::to_string(&ready).map_err(|error| ProcessError::Ready(error.into()))?;
+        writeln!(std::io::stdout(), "{line}").map_err(ProcessError::Ready)?;
         self.is_ready = true;
         Ok(())
     }
@@ -154,7 +159,7 @@ impl StageProcess {
         &mut self,
         mut input: Subscriber<H, E>,
         mut consumer: impl Consumer<H, E>,
-    ) -> anyhow::Result<()> {
+    ) -> Result<(), ProcessError> {
         loop {
             let rehearsal_ns = consumer.rehearsal_ns();
             let deadlines_ns = [rehearsal_ns, self.measurements.deadline_ns()];
@@ -163,7 +168,7 @@ impl StageProcess {
                 Wake::Order(_) => {}
                 Wake::Deadline => {
                     if rehearsal_ns.is_some_and(|rehearsal_ns| now_ns() >= rehearsal_ns) {
-                        consumer.rehearse()?;
+                        consumer.rehearse().map_err(|error| ProcessError::Work(error.into()))?;
                     }
                     self.measurements.publish_if_due()?;
                 }
@@ -174,7 +179,7 @@ impl StageProcess {
                         let measured = match consumer.take(self, &message) {
                             // Being stopped while the next stage takes nothing more is no failure.
                             Err(_) if self.control.is_stopped() => break,
-                            measured => measured?,
+                            measured => measured.map_err(|error| ProcessError::Work(error.into()))?,
                         };
                         drop(message);
                         self.count(&input);
@@ -223,9 +228,13 @@ impl StageProcess {
 
 /// The `main` of a stage: prepares the process, opens the stage with `open`, and runs what that gives until
 /// it ends.
-pub fn main<Run>(stage: Stage, open: impl FnOnce(&mut StageProcess) -> anyhow::Result<Run>) -> ExitCode
+pub fn main<Run, RunError>(
+    stage: Stage,
+    open: impl FnOnce(&mut StageProcess) -> Result<Run, WorkError>,
+) -> ExitCode
 where
-    Run: FnOnce(&mut StageProcess) -> anyhow::Result<()>,
+    Run: FnOnce(&mut StageProcess) -> Result<(), RunError>,
+    RunError: Into<WorkError>,
 {
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
@@ -237,10 +246,12 @@ where
         )
         .init();
     let arguments = Arguments::parse();
-    let opened = prepare(stage, &arguments).and_then(|mut process| Ok((open(&mut process)?, process)));
+    let opened = prepare(stage, &arguments)
+        .map_err(WorkError::from)
+        .and_then(|mut process| Ok((open(&mut process)?, process)));
     let (result, failure) = match opened {
         Ok((run, mut process)) => {
-            let result = run(&mut process);
+            let result = run(&mut process).map_err(Into::into);
             (result, ExitCode::from(if process.is_ready { 1 } else { 2 }))
         }
         Err(error) => (Err(error), ExitCode::from(2)),
@@ -249,13 +260,14 @@ where
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             // Without standard error there is nobody left to tell; the exit code still says it.
-            let _ = writeln!(std::io::stderr(), "tendon {}: error: {error:#}", stage.name());
+            let text = with_causes(error.as_ref());
+            let _ = writeln!(std::io::stderr(), "tendon {}: error: {text}", stage.name());
             failure
         }
     }
 }
 
-fn prepare(stage: Stage, arguments: &Arguments) -> anyhow::Result<StageProcess> {
+fn prepare(stage: Stage, arguments: &Arguments) -> Result<StageProcess, ProcessError> {
     let config = Config::read(&arguments.config)?;
     config.check()?;
     let control = Control::install()?;

@@ -4,10 +4,11 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use crate::allocations::allocations;
-use anyhow::Context;
 use tendon_messages::{MEASUREMENTS, Measured, Measurement, MeasurementHeader, Stage};
-use tendon_transport::{Delivery, Publisher, Session, now_ns};
+use tendon_transport::{Delivery, Publisher, Session, SessionError, now_ns};
+
+use crate::allocations::allocations;
+use crate::error::ProcessError;
 
 /// Measurements in a batch: at full speed, some 50 000 messages/s, observers who come by every 50 ms find less
 /// than the topic keeps.
@@ -32,7 +33,7 @@ impl Measurements {
     /// # Errors
     ///
     /// When shared memory is too small.
-    pub fn open(session: &Session, stage: Stage) -> anyhow::Result<Measurements> {
+    pub fn open(session: &Session, stage: Stage) -> Result<Measurements, SessionError> {
         // Observers are never waited for, so nothing ever has to give up waiting.
         let never = Arc::new(AtomicBool::new(false));
         let publisher = Publisher::open(session, &MEASUREMENTS, BATCH_LENGTH, Delivery::Live, never)?;
@@ -55,7 +56,7 @@ impl Measurements {
     /// # Errors
     ///
     /// When the batch cannot be published.
-    pub fn record(&mut self, measured: Measured) -> anyhow::Result<()> {
+    pub fn record(&mut self, measured: Measured) -> Result<(), ProcessError> {
         let now_ns = now_ns();
         if self.counts.first_message_ns == 0 {
             self.counts.first_message_ns = now_ns;
@@ -69,7 +70,7 @@ impl Measurements {
     /// # Errors
     ///
     /// As [`Measurements::record`].
-    pub fn record_tick(&mut self, lateness_ns: u64) -> anyhow::Result<()> {
+    pub fn record_tick(&mut self, lateness_ns: u64) -> Result<(), ProcessError> {
         self.push(Measured::ControlTick { late_ns: lateness_ns })
     }
 
@@ -78,11 +79,11 @@ impl Measurements {
     /// # Errors
     ///
     /// As [`Measurements::record`].
-    pub fn record_command_to_wire(&mut self, took_ns: u64) -> anyhow::Result<()> {
+    pub fn record_command_to_wire(&mut self, took_ns: u64) -> Result<(), ProcessError> {
         self.push(Measured::CommandToWire { took_ns })
     }
 
-    fn push(&mut self, measured: Measured) -> anyhow::Result<()> {
+    fn push(&mut self, measured: Measured) -> Result<(), ProcessError> {
         self.batch.push(measured.into());
         if self.batch.len() == BATCH_LENGTH { self.publish() } else { self.publish_if_due() }
     }
@@ -97,7 +98,7 @@ impl Measurements {
     /// # Errors
     ///
     /// When the batch cannot be published.
-    pub fn publish_if_due(&mut self) -> anyhow::Result<()> {
+    pub fn publish_if_due(&mut self) -> Result<(), ProcessError> {
         if now_ns() >= self.due_ns { self.publish() } else { Ok(()) }
     }
 
@@ -106,11 +107,11 @@ impl Measurements {
     /// # Errors
     ///
     /// When the batch cannot be published.
-    pub fn publish(&mut self) -> anyhow::Result<()> {
+    pub fn publish(&mut self) -> Result<(), ProcessError> {
         self.counts.allocations = allocations();
         self.publisher
             .publish(self.counts, self.batch.len(), |payload| payload.copy_from_slice(&self.batch))
-            .context("cannot publish measurements")?;
+            .map_err(ProcessError::Measurements)?;
         self.published_counts = self.counts;
         self.batch.clear();
         self.due_ns = now_ns() + BATCH_INTERVAL_NS;

@@ -14,7 +14,6 @@ use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
 use nix::errno::Errno;
 use nix::sys::socket::{
     ControlMessageOwned, MsgFlags, UnixAddr, UnixCredentials, recvmsg, sendto, setsockopt, sockopt,
@@ -22,6 +21,8 @@ use nix::sys::socket::{
 use tendon_gesture::Gesture;
 use tendon_paths::claimed_names;
 use tendon_transport::{FindError, SessionName, find_owner, own_user};
+
+use crate::error::ProcessError;
 
 /// What a stage is told to do, one line of text each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,14 +158,13 @@ pub(crate) struct OrderSocket {
 }
 
 impl OrderSocket {
-    pub(crate) fn open(session: &SessionName) -> anyhow::Result<OrderSocket> {
+    pub(crate) fn open(session: &SessionName) -> Result<OrderSocket, ProcessError> {
         let name = listening_name(own_user(), session);
-        let failed =
-            || format!("cannot listen for orders at the socket @{name}: does another robot process do so?");
-        let address = SocketAddr::from_abstract_name(&name).with_context(failed)?;
-        let socket = UnixDatagram::bind_addr(&address).with_context(failed)?;
-        socket.set_nonblocking(true).with_context(failed)?;
-        Ok(OrderSocket { socket: Socket::new(socket).with_context(failed)?, asker: None })
+        let failed = |source| ProcessError::OrderSocket { name: name.clone(), source };
+        let address = SocketAddr::from_abstract_name(&name).map_err(failed)?;
+        let socket = UnixDatagram::bind_addr(&address).map_err(failed)?;
+        socket.set_nonblocking(true).map_err(failed)?;
+        Ok(OrderSocket { socket: Socket::new(socket).map_err(failed)?, asker: None })
     }
 
     /// The next order that has come from this user or root; everything else is passed over.

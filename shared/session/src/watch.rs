@@ -16,7 +16,7 @@ use tendon_config::{Backend, Config, Source};
 use tendon_gesture::Strategy;
 use tendon_messages::{ArmPhase, Stage};
 use tendon_observer::{Observer, State};
-use tendon_process::{Order, Ready};
+use tendon_process::{Order, Ready, with_causes};
 use tendon_report::SessionEvent;
 use tendon_transport::{Delivery, Leftovers, ReceiveError, SharedFiles, shared_memory_directory};
 
@@ -109,12 +109,6 @@ impl SessionFailure {
             _ => with_causes(self),
         }
     }
-}
-
-/// An error and what led to it, in one line.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(error.source(), |cause| cause.source());
-    causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
 }
 
 /// Whether a session goes on.

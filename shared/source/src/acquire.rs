@@ -1,11 +1,24 @@
 //! The loop of every acquisition process.
 
-use anyhow::Context;
 use tendon_messages::{BLOCKS, BlockHeader, Measured, MessageTimes, Trace};
-use tendon_process::{Order, STALE_NS, StageProcess, Wake};
-use tendon_transport::{Delivery, Loan, Publisher, now_ns};
+use tendon_process::{Order, ProcessError, STALE_NS, StageProcess, Wake};
+use tendon_transport::{Delivery, Loan, PublishError, Publisher, SessionError, now_ns};
 
-use crate::{Block, Next, Source, Wait};
+use crate::{Block, Next, Source, SourceError, Wait};
+
+/// Why nothing more is acquired.
+#[derive(Debug, thiserror::Error)]
+pub enum AcquireError {
+    /// The source broke off.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// A block cannot be published.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+    /// The process cannot go on.
+    #[error(transparent)]
+    Process(#[from] ProcessError),
+}
 
 /// Publishes the blocks of `source` until it ends or the process is told to stop.
 ///
@@ -20,7 +33,7 @@ pub fn acquire(
     process: &mut StageProcess,
     source: &mut dyn Source,
     blocks: Publisher<BlockHeader, f32>,
-) -> anyhow::Result<()> {
+) -> Result<(), AcquireError> {
     let settings = &process.config.acquisition;
     let mut acquisition = Acquisition {
         blocks,
@@ -34,7 +47,7 @@ pub fn acquire(
         source.start()?;
         acquisition.run(process, source)?;
     }
-    process.measurements.publish()
+    Ok(process.measurements.publish()?)
 }
 
 /// Opens the topic of blocks for [`acquire`].
@@ -42,10 +55,10 @@ pub fn acquire(
 /// # Errors
 ///
 /// When shared memory is too small.
-pub fn open_blocks(process: &StageProcess) -> anyhow::Result<Publisher<BlockHeader, f32>> {
+pub fn open_blocks(process: &StageProcess) -> Result<Publisher<BlockHeader, f32>, SessionError> {
     let config = &process.config;
     let stop = process.control.stop_flag();
-    Ok(Publisher::open(&process.session, &BLOCKS, config.block_length(), config.delivery(), stop)?)
+    Publisher::open(&process.session, &BLOCKS, config.block_length(), config.delivery(), stop)
 }
 
 struct Acquisition {
@@ -60,7 +73,11 @@ struct Acquisition {
 
 impl Acquisition {
     /// Sleeps until the supervisor says that all stages are ready; `false` when it says stop instead.
-    fn wait_for_start(&self, process: &mut StageProcess, source: &mut dyn Source) -> anyhow::Result<bool> {
+    fn wait_for_start(
+        &self,
+        process: &mut StageProcess,
+        source: &mut dyn Source,
+    ) -> Result<bool, ProcessError> {
         loop {
             match process.control.wait(None, None)? {
                 Wake::Stop => return Ok(false),
@@ -71,13 +88,13 @@ impl Acquisition {
         }
     }
 
-    fn run(&mut self, process: &mut StageProcess, source: &mut dyn Source) -> anyhow::Result<()> {
+    fn run(&mut self, process: &mut StageProcess, source: &mut dyn Source) -> Result<(), AcquireError> {
         while wait(process, source)? {
             let mut loan = self.blocks.loan(self.channels * self.block_samples)?;
             let block = match source.next_block(loan.payload_mut())? {
                 Next::Block(block) => block,
                 Next::NotYet => continue,
-                Next::End => return finish(process),
+                Next::End => return Ok(finish(process)?),
             };
             // Counted while there is time: a block that was prepared ahead goes out at once when it is due.
             let non_finite = loan.payload_mut().iter().filter(|sample| !sample.is_finite()).count();
@@ -100,7 +117,7 @@ impl Acquisition {
         loan: Loan<BlockHeader, f32>,
         block: Block,
         non_finite_samples: u32,
-    ) -> anyhow::Result<()> {
+    ) -> Result<(), AcquireError> {
         let lost_samples = block.first_sample.saturating_sub(self.next_sample);
         process.measurements.counts.stale += lost_samples.div_ceil(self.block_samples as u64);
         self.next_sample = block.first_sample + self.block_samples as u64;
@@ -121,16 +138,16 @@ impl Acquisition {
         let published_ns = self.blocks.send(loan, header)?;
         let late_ns = published_ns.saturating_sub(block.captured_ns);
         process.measurements.counts.published = self.blocks.published();
-        process.measurements.record(Measured::Message(MessageTimes {
+        Ok(process.measurements.record(Measured::Message(MessageTimes {
             transit_ns: 0,
             work_ns: late_ns,
             newest_sample_to_publish_ns: Some(late_ns),
-        }))
+        }))?)
     }
 }
 
 /// Sleeps until the source may have a block; `false` when the process is to stop instead.
-fn wait(process: &mut StageProcess, source: &mut dyn Source) -> anyhow::Result<bool> {
+fn wait(process: &mut StageProcess, source: &mut dyn Source) -> Result<bool, ProcessError> {
     loop {
         let wake = match source.wait() {
             Wait::Nothing => return Ok(!process.control.is_stopped()),
@@ -153,7 +170,11 @@ fn wait(process: &mut StageProcess, source: &mut dyn Source) -> anyhow::Result<b
 }
 
 /// Sleeps until that time; `false` when the process is to stop instead.
-fn wait_until(process: &mut StageProcess, source: &mut dyn Source, time_ns: u64) -> anyhow::Result<bool> {
+fn wait_until(
+    process: &mut StageProcess,
+    source: &mut dyn Source,
+    time_ns: u64,
+) -> Result<bool, ProcessError> {
     loop {
         match process.control.wait(None, Some(time_ns))? {
             Wake::Stop => return Ok(false),
@@ -166,9 +187,9 @@ fn wait_until(process: &mut StageProcess, source: &mut dyn Source, time_ns: u64)
 
 /// Says that the source has come to its end, and waits to be stopped: the memory that others still read from lies in
 /// this process.
-fn finish(process: &mut StageProcess) -> anyhow::Result<()> {
+fn finish(process: &mut StageProcess) -> Result<(), ProcessError> {
     process.measurements.counts.finished = 1;
-    process.measurements.publish().context("cannot say that the source has ended")?;
+    process.measurements.publish()?;
     while process.control.wait(None, None)? != Wake::Stop {}
     Ok(())
 }

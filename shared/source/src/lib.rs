@@ -25,7 +25,7 @@ use std::os::fd::BorrowedFd;
 use tendon_gesture::Gesture;
 use tendon_messages::Truth;
 
-pub use acquire::{acquire, open_blocks};
+pub use acquire::{AcquireError, acquire, open_blocks};
 pub use clock::DeviceClock;
 pub use paced::{BlockMaker, Pace, Paced};
 
