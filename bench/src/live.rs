@@ -28,11 +28,11 @@ const BARE_TIMER_PERIOD: Duration = Duration::from_millis(5);
 /// How long the bare timer is measured.
 const BARE_TIMER_DURATION: Duration = Duration::from_secs(5);
 
-/// Runs four sessions of `seconds` each on the simulated DAQ; `None` where `tendon` has not been built.
+/// Runs four sessions of `seconds` each on the simulated amplifier; `None` where `tendon` has not been built.
 pub fn measure(seconds: f64, cores: usize) -> anyhow::Result<Option<Vec<Live>>> {
     let Some(program) = session::program()? else { return Ok(None) };
     let mut sessions = Vec::new();
-    println!("\nLive session, simulated DAQ, {seconds} s each");
+    println!("\nLive session, simulated amplifier, {seconds} s each");
     for realtime in ["auto", "off"] {
         for saturated in [false, true] {
             let busy = if saturated { busy::saturate(cores)? } else { Vec::new() };

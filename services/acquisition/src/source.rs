@@ -69,7 +69,8 @@ impl SimulatedPerson {
                 (Performance::at_rest(contraction, settings.sample_rate_hz), "gestures as told".to_owned())
             }
         };
-        let description = format!("simulated DAQ, {gestures}, seed {}, profile: {}", simulate.seed, profile);
+        let description =
+            format!("simulated amplifier, {gestures}, seed {}, profile: {}", simulate.seed, profile);
         Ok((SimulatedPerson { emg, performance }, description))
     }
 }

@@ -102,7 +102,7 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
             if acquisition.simulate.gestures == Gestures::Script {
                 acquisition.simulate.script.parse::<Script>().context("acquisition.simulate.script")?;
             }
-            Ok(format!("simulated DAQ, profile: {profile}"))
+            Ok(format!("simulated amplifier, profile: {profile}"))
         }
         Source::Replay => {
             let (summary, stream) = acquisition.open_recording()?;

@@ -61,7 +61,7 @@ enum Command {
     Arm(order::Options),
     /// Check what this machine offers a session, and say how to mend what is wrong.
     Doctor(doctor::Options),
-    /// Profiles of the simulated DAQ.
+    /// Profiles of the simulated amplifier.
     #[command(subcommand)]
     Profile(profile::Command),
     /// Data sets to train models on.

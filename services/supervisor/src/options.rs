@@ -105,11 +105,11 @@ pub struct Options {
     /// The keys say which gesture the simulated person makes.
     #[arg(long, conflicts_with = "replay")]
     pub keyboard: bool,
-    /// Steer the arm into zones and score how it went. With the simulated DAQ and none of --script, --random and
+    /// Steer the arm into zones and score how it went. With the simulated amplifier and none of --script, --random and
     /// --keyboard, a simulated user does it.
     #[arg(long, value_enum)]
     pub task: Option<TaskKind>,
-    /// Seed of the simulated DAQ: the same seed gives the same samples.
+    /// Seed of the simulated amplifier: the same seed gives the same samples.
     #[arg(long)]
     seed: Option<u64>,
     /// How rest and movement are told apart.
@@ -215,11 +215,11 @@ impl Options {
         let Some((option, _)) = given.into_iter().find(|(_, is_given)| *is_given) else { return Ok(()) };
         ensure!(
             self.replay.is_none(),
-            "{option} is for the simulated DAQ, but --replay takes the samples from a recording: leave one of the two out"
+            "{option} is for the simulated amplifier, but --replay takes the samples from a recording: leave one of the two out"
         );
         ensure!(
             source == Source::Simulate,
-            "{option} is for the simulated DAQ, but acquisition.source is \"{}\": leave {option} out, or add --set \
+            "{option} is for the simulated amplifier, but acquisition.source is \"{}\": leave {option} out, or add --set \
              acquisition.source=simulate",
             source.name()
         );

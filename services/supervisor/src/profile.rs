@@ -1,4 +1,4 @@
-//! `tendon profile fit`: a profile of the simulated DAQ from real recordings.
+//! `tendon profile fit`: a profile of the simulated amplifier from real recordings.
 
 use std::path::PathBuf;
 

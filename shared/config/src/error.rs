@@ -42,7 +42,7 @@ pub enum ConfigError {
         /// The table.
         path: PathBuf,
     },
-    /// The profile of the simulated DAQ could not be read.
+    /// The profile of the simulated amplifier could not be read.
     #[error("{}: cannot read the profile", path.display())]
     ReadProfile {
         /// The file.
@@ -50,7 +50,7 @@ pub enum ConfigError {
         /// The error of the system.
         source: std::io::Error,
     },
-    /// The profile of the simulated DAQ is none.
+    /// The profile of the simulated amplifier is none.
     #[error("{}", path.display())]
     Profile {
         /// The file.

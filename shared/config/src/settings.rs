@@ -58,7 +58,7 @@ impl Default for Config {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
-    /// The simulated DAQ.
+    /// The simulated amplifier.
     Simulate,
     /// A recording.
     Replay,
@@ -83,7 +83,7 @@ impl Source {
 pub struct AcquisitionSettings {
     /// Where samples come from.
     pub source: Source,
-    /// The program that acquires; when left out, the one that comes with Tendon, for the simulated DAQ and recordings.
+    /// The program that acquires; when left out, the one that comes with Tendon, for the simulated amplifier and recordings.
     pub program: Option<PathBuf>,
     /// Number of channels.
     pub channels: usize,
@@ -91,7 +91,7 @@ pub struct AcquisitionSettings {
     pub sample_rate_hz: f64,
     /// Samples of each channel in a block. 10 at 2000 Hz are 5 ms.
     pub block_samples: usize,
-    /// The simulated DAQ.
+    /// The simulated amplifier.
     pub simulate: SimulateSettings,
     /// The recording to replay.
     pub replay: ReplaySettings,
@@ -123,7 +123,7 @@ pub enum Gestures {
     Keyboard,
 }
 
-/// Settings of the simulated DAQ. Amplitudes are in the profile's unit (ADC counts in the default one).
+/// Settings of the simulated amplifier. Amplitudes are in the profile's unit (ADC counts in the default one).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SimulateSettings {
@@ -386,7 +386,7 @@ impl SimulateSettings {
 }
 
 impl AcquisitionSettings {
-    /// Makes the simulated DAQ, and says which profile it has.
+    /// Makes the simulated amplifier, and says which profile it has.
     ///
     /// # Errors
     ///

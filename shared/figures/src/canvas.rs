@@ -22,12 +22,12 @@ pub enum FigureError {
         path: PathBuf,
     },
     /// It could not be drawn.
-    #[error("{}: cannot draw the figure: {reason}", path.display())]
+    #[error("{}: cannot draw the figure", path.display())]
     Draw {
         /// The file.
         path: PathBuf,
-        /// The drawing library's word.
-        reason: String,
+        /// What is wrong.
+        source: DrawError,
     },
     /// It could not be written.
     #[error(transparent)]
@@ -41,16 +41,25 @@ impl From<FigureError> for OutputError {
             FigureError::Ending { path } => {
                 OutputError::Content { path, reason: "a figure is a .png or an .svg file".to_owned() }
             }
-            FigureError::Draw { path, reason } => OutputError::Content { path, reason },
+            FigureError::Draw { path, source } => {
+                OutputError::Content { path, reason: format!("cannot draw the figure: {source}") }
+            }
         }
     }
 }
 
 pub(crate) const FONT: &str = "sans-serif";
 
-/// What the drawing library says is wrong: each kind of file has an error type of its own.
-#[derive(Debug)]
-pub(crate) struct DrawError(String);
+/// Why nothing could be drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum DrawError {
+    /// The font is broken.
+    #[error("the font that comes with the program is broken")]
+    Font,
+    /// The drawing library, which has an error type of its own for each kind of file, refused.
+    #[error("the drawing library refused: {0}")]
+    Library(String),
+}
 
 /// Bytes of a pixel: red, green, blue.
 const PIXEL: usize = 3;
@@ -64,7 +73,7 @@ pub(crate) trait Figure {
 
 /// Draws in memory, then writes the file as a whole.
 pub(crate) fn draw(path: &Path, size: (u32, u32), figure: &impl Figure) -> Result<(), FigureError> {
-    let draw_error = |DrawError(reason)| FigureError::Draw { path: path.to_owned(), reason };
+    let draw_error = |source| FigureError::Draw { path: path.to_owned(), source };
     register_fonts().map_err(draw_error)?;
     let content = match path.extension().and_then(|ending| ending.to_str()) {
         Some("png") => png(size, figure).map_err(draw_error)?,
@@ -104,13 +113,9 @@ where
 fn register_fonts() -> Result<(), DrawError> {
     static REGISTERED: OnceLock<bool> = OnceLock::new();
     let registered = REGISTERED.get_or_init(|| register_font(FONT, FontStyle::Normal, UBUNTU_LIGHT).is_ok());
-    if *registered {
-        Ok(())
-    } else {
-        Err(DrawError("the font that comes with the program is broken".to_owned()))
-    }
+    if *registered { Ok(()) } else { Err(DrawError::Font) }
 }
 
 pub(crate) fn text(error: impl Debug) -> DrawError {
-    DrawError(format!("{error:?}"))
+    DrawError::Library(format!("{error:?}"))
 }

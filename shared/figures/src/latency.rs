@@ -162,7 +162,7 @@ impl Latencies<'_> {
         let longest_ms = milliseconds(self.latencies_ns.max());
         let lines = [
             "beyond p99:".to_owned(),
-            format!("{} windows,", self.bars.tail),
+            format!("{} {},", self.bars.tail, if self.bars.tail == 1 { "window" } else { "windows" }),
             format!("at most {} ms", short(longest_ms)),
         ];
         let (x, y) = chart.backend_coord(&(right, CountAxis::FLOOR));
@@ -381,6 +381,8 @@ mod tests {
         for part in ["beyond p99:", "10 windows,", "at most 9.00 ms", "mean 0.51", "windows"] {
             assert!(content.contains(part), "`{part}` is not in the figure");
         }
+        let one = drawn(&histogram((1..=99).map(|index| 400 + index).chain([9000])));
+        assert!(one.contains("1 window,"), "the number is not that of its noun");
         // Nothing beyond p99: nothing to label.
         assert!(!drawn(&histogram([400; 50].into_iter())).contains("beyond"));
         // Nothing measured can be drawn, too.

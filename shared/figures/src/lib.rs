@@ -13,7 +13,7 @@ mod latency;
 mod scores;
 mod zones;
 
-pub use canvas::FigureError;
+pub use canvas::{DrawError, FigureError};
 pub use confusion::confusion_figure;
 pub use latency::latency_figure;
 pub use scores::write_score_figures;

@@ -34,11 +34,15 @@ const STRAIGHT_MM: f64 = 0.5;
 const LONGEST_PIECE: usize = 1000;
 const REACHED: RGBColor = RGBColor(0, 140, 60);
 const MISSED: RGBColor = RGBColor(200, 40, 30);
+/// Room for a digit of a zone's number, pixels.
+const DIGIT_WIDTH: f64 = 9.0;
+const DIGIT_HEIGHT: f64 = 15.0;
 /// Radius of a mark, pixels.
 const MARK: i32 = 6;
 const PATH: RGBColor = RGBColor(33, 113, 181);
 
-/// Draws the zones of a task, reached ones in green and missed ones in red, numbered as they appeared, the arm's
+/// Draws the zones of a task, reached ones in green and missed ones in red, numbered as they appeared (without a number
+/// where it would cover others), the arm's
 /// path (blue, from the circle to the dot) and the workspace (the frame). The view is from in front of the arm: y to
 /// the right, z up.
 ///
@@ -183,15 +187,44 @@ impl Zones<'_> {
     where
         B::ErrorType: 'static,
     {
-        let numbers = self.report.zones.iter().enumerate().map(|(index, zone)| {
-            let [_, across, up] = zone.centre_mm;
-            // Near the upper edge, since the path mostly ends in the middle.
-            let place = (across, up + 0.3 * self.report.width_mm);
-            let style = (FONT, 14).into_font().color(&colour(zone)).pos(Pos::new(HPos::Center, VPos::Center));
-            Text::new((index + 1).to_string(), place, style)
-        });
+        let centres: Vec<DVec2> =
+            self.report.zones.iter().map(|zone| DVec2::new(zone.centre_mm[1], zone.centre_mm[2])).collect();
+        let places = number_places(&centres, self.report.width_mm);
+        let numbers =
+            self.report.zones.iter().zip(places).enumerate().filter_map(|(index, (zone, place))| {
+                let style =
+                    (FONT, 14).into_font().color(&colour(zone)).pos(Pos::new(HPos::Center, VPos::Center));
+                Some(Text::new((index + 1).to_string(), <(f64, f64)>::from(place?), style))
+            });
         chart.draw_series(numbers).map_err(text).map(|_| ())
     }
+}
+
+/// Where the number of each zone stands so that no two overlap: inside it near its upper edge, since the path mostly ends
+/// in the middle, or at another of its edges, inside or outside; `None` where there is no room.
+fn number_places(centres_mm: &[DVec2], width_mm: f64) -> Vec<Option<DVec2>> {
+    const SIDES: [DVec2; 4] = [DVec2::Y, DVec2::X, DVec2::NEG_Y, DVec2::NEG_X];
+    let size_mm = |index: usize| {
+        let digits = (index + 1).to_string().len() as f64;
+        DVec2::new(digits * DIGIT_WIDTH, DIGIT_HEIGHT) / SCALE
+    };
+    let mut taken: Vec<(DVec2, DVec2)> = Vec::new();
+    let place = |(index, centre): (usize, &DVec2)| {
+        let size = size_mm(index);
+        let is_free = |place: &DVec2| {
+            taken.iter().all(|(other, other_size)| {
+                let distance = (*place - *other).abs();
+                let least = (size + *other_size) / 2.0;
+                distance.x >= least.x || distance.y >= least.y
+            })
+        };
+        let inside = SIDES.map(|side| *centre + side * 0.3 * width_mm);
+        let outside = SIDES.map(|side| *centre + side * (0.5 * width_mm + size / 2.0));
+        let free = inside.into_iter().chain(outside).find(is_free)?;
+        taken.push((free, size));
+        Some(free)
+    };
+    centres_mm.iter().enumerate().map(place).collect()
 }
 
 /// One line below the chart: what colours and marks mean.
@@ -265,6 +298,24 @@ mod tests {
         assert_eq!(straightened(&way), [point(0, 0), point(49, 0), point(49, 19), point(49, 0)]);
         assert_eq!(straightened(&[]), []);
         assert_eq!(straightened(&[DVec2::ONE]), [DVec2::ONE]);
+    }
+
+    #[test]
+    fn numbers_of_zones_do_not_overlap_and_are_left_out_where_there_is_no_room() {
+        // All in one place: as many as there are sides, inside and outside.
+        let places = number_places(&[DVec2::ZERO; 12], 40.0);
+        assert_eq!(places[0], Some(DVec2::new(0.0, 12.0)));
+        let placed: Vec<DVec2> = places.iter().copied().flatten().collect();
+        assert!((4..12).contains(&placed.len()), "{places:?}");
+        for (index, place) in placed.iter().enumerate() {
+            for other in &placed[..index] {
+                let distance = (*place - *other).abs() * SCALE;
+                assert!(distance.x >= DIGIT_WIDTH || distance.y >= DIGIT_HEIGHT, "{place} {other}");
+            }
+        }
+        // Apart, each has its own.
+        let apart: Vec<DVec2> = (0..12).map(|zone| DVec2::X * 50.0 * f64::from(zone)).collect();
+        assert!(number_places(&apart, 40.0).iter().all(Option::is_some));
     }
 
     #[test]
