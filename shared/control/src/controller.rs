@@ -7,7 +7,7 @@
 //!     └────────▶ waiting ◀──────── any stop: order, error, guard, silence, end of a stage
 //! ```
 
-use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Obstacle, Twist, XArm7};
+use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Obstacle, Told, Twist, XArm7};
 use tendon_messages::{
     ArmPhase, CommandHeader, Hindrance, Permission, STATE_LENGTH, StateHeader, StopReason, TWIST_LENGTH,
     Trace,
@@ -23,6 +23,8 @@ use crate::start::{Departure, Start};
 const SUPERVISOR_SILENCE_NS: u64 = 120_000_000;
 /// After so long without a sign of life from the arm it is brought to rest, ns.
 const ARM_SILENCE_NS: u64 = 300_000_000;
+/// An arm that has given no sign of life for so long, ns, may not have heard what it was told, and rest by itself.
+const UNHEARD_NS: u64 = 50_000_000;
 /// After so long without a sign of life from the arm the connection counts as broken, ns.
 const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
 /// How long the arm may take to connect, ns.
@@ -72,8 +74,8 @@ enum Phase {
     /// Connected; how the arm was left decides whether it sets out.
     Departing,
     EnablingJoints,
-    /// The fastest joint has this speed, rad/s.
-    GoingToStart(f64),
+    /// The joints were told these velocities, rad/s.
+    GoingToStart(JointVector),
     EnablingFlange,
     Following,
     Waiting,
@@ -166,6 +168,11 @@ impl Controller {
         matches!(self.phase, Phase::Following | Phase::Waiting)
     }
 
+    /// Whether it is known which arm is there.
+    pub fn is_connected(&self) -> bool {
+        self.arm.report().link != Link::Connecting
+    }
+
     /// Why the arm could not be reached at all, after which there is nothing to wait for.
     pub fn failure(&self) -> Option<Stop> {
         self.failure.filter(|_| self.phase == Phase::Connecting)
@@ -196,6 +203,8 @@ impl Controller {
         let is_well = report.error_code.is_none()
             && report.link != Link::Connecting
             && report.silent_ns < ARM_SILENCE_NS
+            // Else another program has set it running again.
+            && report.is_stopped
             && report.stop.is_none_or(|stop| stop.reason == StopReason::Ordered);
         report.joints_rad.filter(|_| is_well)
     }
@@ -232,9 +241,11 @@ impl Controller {
         self.stop(Stop::because(StopReason::StageEnded));
     }
 
-    /// The session ends: stops the arm for good.
+    /// The session ends: stops the arm for good, unless it is not known yet whether this session may have it.
     pub fn end(&mut self) {
-        self.arm.stop();
+        if !matches!(self.phase, Phase::Connecting | Phase::Departing) {
+            self.arm.stop();
+        }
         self.gripper.stopped();
     }
 
@@ -451,9 +462,14 @@ impl Controller {
             self.interrupt(StopReason::ArmSilent);
         }
         if let Some(joints_rad) = report.joints_rad {
-            let goes = matches!(self.phase, Phase::GoingToStart(_));
-            let is_at_rest = !goes && report.is_commanded_to_rest;
-            if let Err(violation) = self.guard.check(now_ns, &joints_rad, is_at_rest) {
+            let velocity = match self.phase {
+                Phase::GoingToStart(told_rad_per_s) => {
+                    Twist::from_vector_m(&(self.kinematics.jacobian(&joints_rad) * told_rad_per_s))
+                }
+                _ => report.told,
+            };
+            let told = Told { velocity, may_be_unheard: report.silent_ns > UNHEARD_NS };
+            if let Err(violation) = self.guard.check(now_ns, &joints_rad, &told) {
                 return self.stop(Stop::because(reason_of(violation)));
             }
         }
@@ -469,7 +485,7 @@ impl Controller {
         self.header.start_distance_mm = self.start.distance_mm(&joints_rad) as f32;
         match (self.phase, report.link) {
             (Phase::EnablingJoints, Link::Up(Drive::Joints)) => {
-                self.phase = Phase::GoingToStart(0.0);
+                self.phase = Phase::GoingToStart(JointVector::zeros());
                 if self.asked.take().is_some() {
                     self.answer = Some(ArmAnswer::GoingToStart);
                 }
@@ -479,10 +495,10 @@ impl Controller {
                 // An error that comes now is nobody's to clear.
                 self.bring_up(Drive::Flange, false, now_ns);
             }
-            (Phase::GoingToStart(speed_rad_per_s), _) => {
-                let (speed_rad_per_s, velocities) = self.start.step(&joints_rad, speed_rad_per_s);
-                self.arm.follow_joints(&velocities);
-                self.phase = Phase::GoingToStart(speed_rad_per_s);
+            (Phase::GoingToStart(told_rad_per_s), _) => {
+                let velocities_rad_per_s = self.start.step(&joints_rad, told_rad_per_s.amax());
+                self.arm.follow_joints(&velocities_rad_per_s);
+                self.phase = Phase::GoingToStart(velocities_rad_per_s);
             }
             (Phase::EnablingFlange, Link::Up(Drive::Flange)) => {
                 self.phase = Phase::Following;
@@ -600,7 +616,8 @@ fn reason_of(violation: LimitViolation) -> StopReason {
     match violation {
         LimitViolation::JointLimit { .. } => StopReason::JointLimit,
         LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
-        LimitViolation::Creeping { .. } => StopReason::Creeping,
+        LimitViolation::Creeping { .. } | LimitViolation::Drifted { .. } => StopReason::Creeping,
+        LimitViolation::NotFollowing { .. } => StopReason::NotFollowing,
         LimitViolation::OverSpeed { .. } => StopReason::OverSpeed,
     }
 }

@@ -424,6 +424,17 @@ fn a_gap_a_stale_and_a_lost_command_start_the_count_of_rests_again() {
 }
 
 #[test]
+fn an_arm_that_another_program_sets_running_at_the_end_leaves_no_record() {
+    let mut rig = Rig::moving();
+    rig.rest(5);
+    assert!(rig.controller.is_in_good_order());
+    rig.controller.end();
+    assert!(rig.controller.at_the_end(rig.now_ns).is_some());
+    rig.arm.0.borrow_mut().report.is_stopped = false;
+    assert_eq!(rig.controller.at_the_end(rig.now_ns), None);
+}
+
+#[test]
 fn an_arm_without_a_fitting_record_waits_and_then_follows_from_where_it_is() {
     let moved = ArmSettings::default().start_joints_rad().add_scalar(0.05);
     for (departure, reason) in [
@@ -514,16 +525,22 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
 
 #[test]
 fn the_workspace_box_holds_while_following_and_the_arm_can_be_driven_back() {
-    let mut rig = Rig::moving();
-    rig.arm.0.borrow_mut().runaway.linear_mm_per_s = [0.0, 0.0, 100.0];
+    let mut settings = settings();
+    settings.arm.workspace_max_mm[2] = 370.0;
+    let mut rig = Rig::new(settings, ArmSettings::default().start_joints_rad(), None);
+    rig.pass(300);
+    rig.rest(3);
+    // Too slow to look like an arm that does not follow.
+    rig.arm.0.borrow_mut().runaway.linear_mm_per_s = [0.0, 0.0, 15.0];
     while rig.permission() != Permission::Stopped {
-        rig.hold(Gesture::Rest, &STILL, 1);
+        rig.hold(Gesture::Ulnar, &SIDEWAYS, 1);
     }
-    let reason = rig.reason();
-    assert!(matches!(reason, Some(StopReason::WorkspaceBox | StopReason::Creeping)), "{reason:?}");
     rig.arm.0.borrow_mut().runaway = Twist::ZERO;
-    rig.assert_stopped(reason.unwrap());
-    rig.assert_arms();
+    rig.assert_stopped(StopReason::WorkspaceBox);
+    assert_eq!(rig.arm(), ArmAnswer::Armed);
+    rig.rest(3);
+    rig.hold(Gesture::Ulnar, &UP.map(|component| -component), 6);
+    assert!(rig.speed() > 50.0 && rig.arm.0.borrow().position_mm()[2] < 370.0);
 }
 
 #[test]
@@ -548,6 +565,35 @@ fn an_arm_that_creeps_at_commanded_rest_is_stopped() {
     let mut rig = Rig::moving();
     rig.rest(30);
     assert_eq!(rig.permission(), Permission::Granted);
+}
+
+#[test]
+fn an_arm_that_does_not_move_as_it_is_told_is_stopped_before_it_is_far() {
+    // Up or forward instead of sideways, or held where it is.
+    for (runaway, axis, at_most_mm) in
+        [([0.0, 0.0, 80.0], 2, 25.0), ([80.0, 0.0, 0.0], 0, 25.0), ([0.0, -100.0, 0.0], 1, 10.0)]
+    {
+        let mut rig = Rig::moving();
+        rig.hold(Gesture::Ulnar, &SIDEWAYS, 4);
+        let from_mm = rig.arm.0.borrow().position_mm();
+        let begun_ns = rig.now_ns;
+        rig.arm.0.borrow_mut().runaway.linear_mm_per_s = runaway;
+        while rig.permission() != Permission::Stopped {
+            rig.hold(Gesture::Ulnar, &SIDEWAYS, 1);
+            assert!(rig.now_ns - begun_ns < 700 * MS, "{runaway:?}");
+        }
+        let off_mm = (rig.arm.0.borrow().position_mm()[axis] - from_mm[axis]).abs();
+        assert!(off_mm < at_most_mm, "{runaway:?}: {off_mm} mm");
+        rig.arm.0.borrow_mut().runaway = Twist::ZERO;
+        rig.assert_stopped(StopReason::NotFollowing);
+    }
+    let mut rig = Rig::on_the_way();
+    rig.arm.0.borrow_mut().runaway.linear_mm_per_s = [0.0, 0.0, 150.0];
+    rig.pass(400);
+    rig.arm.0.borrow_mut().runaway = Twist::ZERO;
+    let reason = rig.reason();
+    assert!(matches!(reason, Some(StopReason::NotFollowing | StopReason::OverSpeed)), "{reason:?}");
+    rig.assert_stopped(reason.unwrap());
 }
 
 #[test]

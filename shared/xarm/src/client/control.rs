@@ -96,6 +96,8 @@ pub(super) struct Control {
     unanswered: VecDeque<(u16, Instant)>,
     stop: Option<Stop>,
     bring_up: Option<BringUp>,
+    /// Whether it was ever brought up.
+    has_brought_up: bool,
     /// The mode in which the arm is ready.
     ready: Option<Mode>,
     velocity: Option<Asked>,
@@ -121,6 +123,7 @@ impl Control {
             unanswered: VecDeque::with_capacity(MOST_UNANSWERED),
             stop: None,
             bring_up: None,
+            has_brought_up: false,
             ready: None,
             velocity: None,
             errors_wanted: false,
@@ -145,10 +148,14 @@ impl Control {
         self.leave(&mut decoder);
     }
 
-    /// Stops arm and gripper. If nobody answers, the duration of the velocity ends the motion.
+    /// Stops arm and gripper, unless they may be driven by somebody else: this client has never brought the arm up. If
+    /// nobody answers, the duration of the velocity ends the motion.
     fn leave(&mut self, decoder: &mut Decoder) {
+        self.take_orders();
         self.halt(Halt::Ordered);
-        self.stop = Some(Stop::default());
+        if self.has_brought_up {
+            self.stop = Some(Stop::default());
+        }
         let end = Instant::now() + LAST_STOP;
         let is_stopping = |control: &Control| {
             control.stop.is_some() || control.gripper.as_ref().is_some_and(GripperLane::is_stopping)
@@ -244,6 +251,7 @@ impl Control {
         if let Some(order) = bring_up {
             if self.stream.is_some() && matches!(self.identification, Identification::Supported) {
                 self.bring_up = Some(BringUp::new(order));
+                self.has_brought_up = true;
                 // The reply to what was asked before says nothing about what comes.
                 self.outstanding = None;
                 self.gripper.iter_mut().for_each(GripperLane::set_up);
