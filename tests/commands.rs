@@ -31,10 +31,13 @@ fn latency_looks_on_at_a_running_session() {
 }
 
 #[test]
-fn latency_of_no_session_says_how_to_start_one() {
+fn a_command_for_no_session_says_how_to_start_one_and_gives_the_same_code() {
     let session = unique_session();
-    let ended = TendonBuilder::command(&session, &["latency", "--session", &session.to_string()]).end();
-    ended.assert_failed(2, &[&format!("no session `{session}` is running"), "start it with `tendon run`"]);
+    for command in ["latency", "stop", "arm"] {
+        let ended = TendonBuilder::command(&session, &[command, "--session", &session.to_string()]).end();
+        ended
+            .assert_failed(2, &[&format!("no session `{session}` is running"), "start it with `tendon run`"]);
+    }
 }
 
 #[test]

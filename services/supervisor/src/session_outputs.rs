@@ -6,6 +6,7 @@ use std::time::Duration;
 use tendon_figures::{FigureError, latency_figure, zones_figure};
 use tendon_output::{OutputError, OutputErrors, OutputFile, OutputFolder, check_distinct, collect};
 use tendon_report::{Report, SessionMeasurements, write_latency_log};
+use tendon_session::Writer;
 use tendon_zones::TaskRun;
 
 use crate::Failure;
@@ -42,7 +43,7 @@ impl SessionOutputs {
         Ok(outputs)
     }
 
-    /// Writes all files, whatever becomes of the others.
+    /// Writes all files, whatever becomes of the others. Without anything to draw, that is said instead.
     ///
     /// # Errors
     ///
@@ -52,6 +53,7 @@ impl SessionOutputs {
         report: &Report,
         measurements: &SessionMeasurements,
         task: Option<&TaskRun>,
+        standard_error: &Writer,
     ) -> Result<(), OutputErrors> {
         let json = self.json.iter().map(|file| file.write_json(report));
         let length = Duration::from_secs_f64(report.duration_s);
@@ -59,7 +61,15 @@ impl SessionOutputs {
             .latency_log
             .iter()
             .map(|file| file.write(|mut out| write_latency_log(measurements, length, &mut out)));
-        let figures = self.figures.iter().flat_map(|folder| write_figures(folder, measurements, task));
+        let has_commands = !measurements.newest_sample_to_command.is_empty();
+        if let (Some(folder), false) = (&self.figures, has_commands) {
+            standard_error.say(format!(
+                "tendon: {}: there is nothing to draw, because the session gave no command",
+                folder.path().display()
+            ));
+        }
+        let drawn = self.figures.iter().filter(|_| has_commands);
+        let figures = drawn.flat_map(|folder| write_figures(folder, measurements, task));
         collect(json.chain(log).chain(figures))
     }
 }
