@@ -2,9 +2,12 @@
 //! remedy, and nothing left behind.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
+use std::fs::{self, File};
+use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 
 use nix::sys::signal::Signal;
+use nix::sys::stat::Mode;
 use tendon_system_tests::{TendonBuilder, model, unique_session};
 
 /// Asserts that `tendon run` with `arguments` is refused with one line that has all of `parts`.
@@ -35,6 +38,43 @@ fn a_model_of_random_bytes_and_a_truncated_one() {
     let whole = std::fs::read(model("cnn-five-gesture")).unwrap();
     std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
     assert_model_refused(&path, &parts);
+}
+
+#[test]
+fn a_model_that_is_not_what_its_metadata_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.onnx");
+    let mut bytes = std::fs::read(model("cnn-five-gesture")).unwrap();
+    let entry = b"tendon.window_samples\x12\x03600";
+    let start = bytes.windows(entry.len()).position(|window| window == entry).unwrap();
+    bytes[start + entry.len() - 3] = b'5';
+    std::fs::write(&path, bytes).unwrap();
+    let parts = [
+        "the model's input is 1 × 4 × 600 float32 numbers, but the metadata want 1 × 4 × 500 float32 numbers",
+        "models/training/train.py",
+    ];
+    assert_model_refused(&path, &parts);
+}
+
+#[test]
+fn a_table_of_which_nothing_says_what_it_shows() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("emg.csv");
+    std::fs::write(&table, "1,2,3,4\n".repeat(1000)).unwrap();
+    let path = table.to_str().unwrap();
+    let six = model("cnn-six-class");
+    let build = ["dataset", "build", path, "--out", "windows"];
+    let evaluate = ["evaluate", path, "--model", six.to_str().unwrap()];
+    let refused = |arguments: &[&str], parts: &[&str]| {
+        TendonBuilder::command(&unique_session(), arguments).end().assert_failed(2, parts);
+    };
+    for command in [&build[..], &evaluate, &["strategies", path]] {
+        let header = "file,person,session,repetition,gesture,start_sample,end_sample";
+        refused(command, &["emg.csv", "no labels.csv names it: write one beside it", header]);
+    }
+    refused(&["profile", "fit", path, "--out", "me.toml"], &["emg.csv", "give a folder of the 3DC layout"]);
+    std::fs::write(folder.path().join("labels.csv"), "").unwrap();
+    refused(&build, &["give its folder, so that", "labels.csv says what it shows"]);
 }
 
 #[test]
@@ -220,4 +260,176 @@ fn a_path_that_is_not_utf_8() {
     TendonBuilder::run(&unique_session()).arg("--replay").arg(odd).end().assert_failed(2, &parts);
     let parts = ["inference.model", "not UTF-8", "rename"];
     TendonBuilder::run_with_model(&unique_session(), odd).end().assert_failed(2, &parts);
+}
+
+/// Commands that read a file, `@`, with the name that it has; of these the size is bounded.
+const BOUNDED: [(&str, &str); 10] = [
+    ("run --config @", "mine.toml"),
+    ("run", "tendon.toml"),
+    ("run --set acquisition.simulate.profile=@", "me.toml"),
+    ("run --model @", "model.onnx"),
+    ("run --strategy two_stage --rest-move-model @", "model.onnx"),
+    ("strategies . --config @", "mine.toml"),
+    ("strategies . --strategy direct --six-class-model @", "model.onnx"),
+    ("evaluate . --model @", "model.onnx"),
+    ("dataset build . --recording-rate-hz 1000 --out windows", "labels.csv"),
+    ("evaluate data --model SIX", "data/manifest.json"),
+];
+/// Those that read a file of any size.
+const UNBOUNDED: [(&str, &str); 7] = [
+    ("run --replay @ --replay-rate-hz 1000", "emg.csv"),
+    ("run --replay @", "3dc_EMG_gesture_0_1.txt"),
+    ("profile fit @ --out me.toml", "3dc_EMG_gesture_0_1.txt"),
+    ("dataset build @ --out windows", "P50_C0_G1.csv"),
+    ("dataset build @ --filtered --out windows", "50.mat"),
+    ("evaluate @ --model SIX", "P50_C0_G1.csv"),
+    ("run --set inference.runtime_library=@", "libonnxruntime.so"),
+];
+
+/// Runs `command` where `make` has put a file called `name`, and asserts that it is refused by its name and with `part`.
+fn assert_input_refused((command, name): (&str, &str), make: impl FnOnce(&Path), part: &str) {
+    let session = unique_session();
+    let words = command.split(' ');
+    let first = words.clone().next().unwrap();
+    let builder = TendonBuilder::command(&session, &[first]);
+    let builder =
+        if first == "run" { builder.args(&["--session", session.to_string().as_str()]) } else { builder };
+    let path = builder.folder().join(name);
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    make(&path);
+    let six = model("cnn-six-class");
+    let filled = words
+        .skip(1)
+        .map(|word| word.replace('@', path.to_str().unwrap()).replace("SIX", six.to_str().unwrap()));
+    let ended = filled.fold(builder, TendonBuilder::arg).end();
+    assert_eq!(ended.exit_code, Some(2), "{command}: {ended:#?}");
+    assert!(!ended.errors.contains("panicked"), "{command}: {ended:#?}");
+    let says = |line: &str| line.contains(name) && line.contains(part);
+    assert!(ended.errors.lines().any(says), "{command}: no line has `{name}` and `{part}`: {ended:#?}");
+}
+
+#[test]
+fn a_pipe_without_a_writer() {
+    for reader in BOUNDED.into_iter().chain(UNBOUNDED) {
+        assert_input_refused(
+            reader,
+            |path| nix::unistd::mkfifo(path, Mode::S_IRWXU).unwrap(),
+            "it is a pipe",
+        );
+    }
+}
+
+#[test]
+fn a_device_without_an_end() {
+    for reader in BOUNDED.into_iter().chain(UNBOUNDED) {
+        assert_input_refused(reader, |path| symlink("/dev/zero", path).unwrap(), "it is a device");
+    }
+}
+
+#[test]
+fn a_folder_instead_of_a_file() {
+    // A folder called labels.csv is one without recordings.
+    for reader in BOUNDED.into_iter().filter(|(_, name)| *name != "labels.csv") {
+        assert_input_refused(reader, |path| fs::create_dir(path).unwrap(), "it is a folder");
+    }
+    // Of recordings folders may be given, but not empty ones.
+    for reader in UNBOUNDED {
+        assert_input_refused(reader, |path| fs::create_dir(path).unwrap(), "");
+    }
+}
+
+#[test]
+fn a_file_beyond_its_bound() {
+    for reader in BOUNDED {
+        let make = |path: &Path| File::create(path).unwrap().set_len(1 << 40).unwrap();
+        assert_input_refused(reader, make, "it is larger than");
+    }
+}
+
+#[test]
+fn a_recording_of_any_size_without_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("emg.csv");
+    File::create(&path).unwrap().set_len(1 << 40).unwrap();
+    let arguments = ["--replay", path.to_str().unwrap(), "--replay-rate-hz", "1000"];
+    assert_refused(&arguments, &["emg.csv, line 1", "binary or non-UTF-8"]);
+}
+
+#[test]
+fn a_file_that_may_not_be_read() {
+    if nix::unistd::geteuid().is_root() {
+        // Root may read it.
+        return;
+    }
+    for reader in BOUNDED.into_iter().chain(UNBOUNDED) {
+        let make = |path: &Path| {
+            fs::write(path, "").unwrap();
+            fs::set_permissions(path, fs::Permissions::from_mode(0o000)).unwrap();
+        };
+        assert_input_refused(reader, make, "Permission denied");
+    }
+}
+
+#[test]
+fn a_data_set_in_a_folder_where_a_pipe_lies() {
+    let builder = TendonBuilder::command(&unique_session(), &["dataset", "build", "emg", "--out", "windows"]);
+    tendon_system_tests::recordings::write_three_dc(&builder.folder().join("emg/Participant50/train/EMG"));
+    fs::create_dir(builder.folder().join("windows")).unwrap();
+    nix::unistd::mkfifo(&builder.folder().join("windows/labels.npy"), Mode::S_IRWXU).unwrap();
+    builder.end().assert_failed(2, &["labels.npy is no regular file", "choose another folder"]);
+}
+
+#[test]
+fn options_that_would_have_no_effect() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("emg.csv");
+    fs::write(&table, "1,2,3,4\n".repeat(1000)).unwrap();
+    let (table, five) = (table.to_str().unwrap(), model("cnn-five-gesture"));
+    let five = five.to_str().unwrap();
+    let replay = ["run", "--replay", table, "--replay-rate-hz", "1000", "--seed", "1"];
+    let from_file = ["run", "--set", "acquisition.source=replay", "--set", "acquisition.replay.path=emg.csv"];
+    let scripted = [&from_file[..], &["--script", "rest 6s"]].concat();
+    let build = ["dataset", "build", table, "--out", "windows"];
+    let cases: [(&[&str], [&str; 3]); 13] = [
+        (&replay, ["--seed", "--replay", "leave one of the two out"]),
+        (&scripted, ["--script", "acquisition.source is \"replay\"", "leave --script out"]),
+        (
+            &["run", "--rest-move-model", five],
+            ["--rest-move-model", "decision.strategy is \"threshold\"", "add --strategy two_stage"],
+        ),
+        (
+            &["run", "--set", "decision.speed_mm_per_s=200"],
+            ["decision.speed_mm_per_s = 200", "linear_speed_limit_mm_per_s = 100", "raise the limit"],
+        ),
+        (
+            &["strategies", table, "--strategy", "direct", "--rest-move-model", five],
+            ["--rest-move-model", "--strategy direct", "leave one of the two out"],
+        ),
+        (
+            &["strategies", table, "--set", "robot.backend=xarm"],
+            ["--set robot.backend=xarm", "tendon strategies does not use", "leave it out"],
+        ),
+        (
+            &[&build[..], &["--set", "decision.vote_windows=5"]].concat(),
+            ["--set decision.vote_windows=5", "tendon dataset build does not use", "leave it out"],
+        ),
+        (
+            &[&build[..], &["--filtered", "--set", "dsp.filter.notch_hz=50"]].concat(),
+            ["--filtered", "--set dsp.filter", "leave one of the two out"],
+        ),
+        (
+            &[&build[..], &["--peak-percentile", "70"]].concat(),
+            ["--peak-percentile", "--onset peak-percentile", "leave --peak-percentile out"],
+        ),
+        (
+            &["experiments", "--no-training", "--jobs", "2"],
+            ["--jobs", "cannot be used with", "--no-training"],
+        ),
+        (&["run", "--pace", "full"], ["--pace", "recordings", "--replay PATH"]),
+        (&["run", "--replay", table, "--keyboard"], ["--keyboard", "cannot be used with", "--replay"]),
+        (&["run", "--script", "rest 6s", "--random"], ["--script", "cannot be used with", "--random"]),
+    ];
+    for (arguments, parts) in cases {
+        TendonBuilder::command(&unique_session(), arguments).end().assert_failed(2, &parts);
+    }
 }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
 use nix::sys::signal::Signal;
-use tendon_system_tests::recordings::{real_three_dc, write_three_dc};
+use tendon_system_tests::recordings::{MOVEMENT, Stretch, real_three_dc, write_table, write_three_dc};
 use tendon_system_tests::{TendonBuilder, model, program, repository, unique_session};
 
 #[test]
@@ -31,10 +31,13 @@ fn latency_looks_on_at_a_running_session() {
 }
 
 #[test]
-fn latency_of_no_session_says_how_to_start_one() {
+fn a_command_for_no_session_says_how_to_start_one_and_gives_the_same_code() {
     let session = unique_session();
-    let ended = TendonBuilder::command(&session, &["latency", "--session", &session.to_string()]).end();
-    ended.assert_failed(2, &[&format!("no session `{session}` is running"), "start it with `tendon run`"]);
+    for command in ["latency", "stop", "arm"] {
+        let ended = TendonBuilder::command(&session, &[command, "--session", &session.to_string()]).end();
+        ended
+            .assert_failed(2, &[&format!("no session `{session}` is running"), "start it with `tendon run`"]);
+    }
 }
 
 #[test]
@@ -141,6 +144,50 @@ fn a_data_set_is_built_from_real_recordings() {
     // 4 channels × 600 samples × 4 bytes each, after a header.
     let bytes = std::fs::metadata(out.join("windows.npy")).unwrap().len();
     assert!((1..1000).contains(&(bytes - windows * 4 * 600 * 4)), "{bytes} bytes for {windows} windows");
+}
+
+#[test]
+fn a_data_set_is_cut_with_the_filter_of_the_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = folder.path().join("Participant50/train/EMG");
+    write_three_dc(&recordings);
+    std::fs::write(folder.path().join("mine.toml"), "[dsp.filter]\nnotch_hz = 50\n").unwrap();
+    let config = folder.path().join("mine.toml");
+    let config = config.to_str().unwrap();
+    let cases: [(&[&str], serde_json::Value); 4] = [
+        (&[], 60.0.into()),
+        (&["--config", config], 50.0.into()),
+        (&["--config", config, "--set", "dsp.filter.notch_hz=off"], "off".into()),
+        (&["--filtered"], serde_json::Value::Null),
+    ];
+    for (options, notch_hz) in cases {
+        let out = folder.path().join("windows");
+        let build = TendonBuilder::command(&unique_session(), &["dataset", "build", "--channels", "0,1,2,3"]);
+        let ended = build.args(options).arg("--out").arg(&out).arg(&recordings).end();
+        assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+        let manifest = std::fs::read_to_string(out.join("manifest.json")).unwrap();
+        let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+        let filter = &manifest["settings"]["filter"];
+        assert_eq!(filter.get("notch_hz").unwrap_or(filter), &notch_hz, "{options:?}");
+        assert_eq!(manifest["settings"]["windows"]["window_samples"], 600);
+    }
+    // A model that was trained with another notch is refused for such a data set.
+    let out = folder.path().join("fifty");
+    let build = TendonBuilder::command(&unique_session(), &["dataset", "build", "--channels", "0,1,2,3"]);
+    let build = build.args(&["--set", "dsp.filter.notch_hz=50", "--set", "dsp.windows.window_samples=600"]);
+    assert_eq!(build.arg("--out").arg(&out).arg(&recordings).end().exit_code, Some(0));
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate", "--model"]);
+    evaluate
+        .arg(model("cnn-six-class"))
+        .arg(&out)
+        .end()
+        .assert_failed(2, &["dsp.filter.notch_hz: the model wants 60, the data set has 50"]);
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate", "--channels", "0,1,2", "--model"]);
+    evaluate
+        .arg(model("cnn-six-class"))
+        .arg(&out)
+        .end()
+        .assert_failed(2, &["--channels is for recordings", "leave --channels out"]);
 }
 
 /// Somebody whom no model that comes with Tendon was trained on.
@@ -254,6 +301,13 @@ fn nobody_is_scored_whom_the_model_was_trained_on() {
     let ended = evaluate(&[]);
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
     assert!(ended.output.contains("on people 50"), "{ended:#?}");
+    // Person 7 of another data set is somebody else.
+    let trial = folder.path().join("P7_C0_G1.csv");
+    write_table(&trial, &[Stretch { samples: 8000, amplitudes: MOVEMENT }]);
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate", "--channels", "0,1,2,3"]);
+    let ended = evaluate.arg(&trial).arg("--model").arg(model("cnn-six-class")).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    assert!(ended.output.contains("on people 7"), "{ended:#?}");
 }
 
 #[test]

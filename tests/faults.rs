@@ -16,6 +16,7 @@ use tendon_messages::{
     Permission, STATES, Stage, StateHeader, StopReason, TWIST_LENGTH, Trace, WINDOWS, WindowContext,
     WindowHeader,
 };
+use tendon_report::{Outcome, Report};
 use tendon_system_tests::recordings::{CHANNELS, MOVEMENT, PseudoEmg, REST, Stretch, write_table};
 use tendon_system_tests::{
     StageAlone, TendonBuilder, WATCHDOG, assert_nothing_left, is_alive, model, unique_session, wait_until,
@@ -210,6 +211,52 @@ fn a_stage_that_dies_again_and_again_ends_the_session_by_name() {
         tendon.has_ended().then_some(())
     });
     tendon.end().assert_failed(1, &["tendon: error:", "decision ended", "the session is stopped"]);
+}
+
+#[test]
+fn a_source_that_hangs_is_named_and_so_is_its_going_on() {
+    let mut tendon = TendonBuilder::run(&unique_session()).start();
+    tendon.wait_until_running();
+    let acquisition = tendon.stage("acquisition");
+    kill(acquisition, Signal::SIGSTOP).unwrap();
+    let says = |text: &str| wait_until(text, || tendon.errors_so_far().contains(text).then_some(()));
+    says("acquisition has published no samples for 2 s");
+    // In the live line, too.
+    says("acquisition: no samples for ");
+    kill(acquisition, Signal::SIGCONT).unwrap();
+    says("acquisition publishes samples again");
+    tendon.signal(Signal::SIGTERM);
+    let events = tendon.end().report().events;
+    let texts: Vec<&str> = events.iter().map(|event| event.text.as_str()).collect();
+    assert!(texts[0].starts_with("acquisition has published no samples"), "{texts:?}");
+    assert!(texts.contains(&"acquisition publishes samples again"), "{texts:?}");
+}
+
+#[test]
+fn a_source_that_never_yields_is_named() {
+    let program = format!("acquisition.program={}", env!("CARGO_BIN_EXE_push-device"));
+    let builder = TendonBuilder::run(&unique_session()).env("PUSH_DEVICE_SILENT", "1");
+    let settings = ["--set", "acquisition.source=device", "--set", &program, "--duration", "5s"];
+    let ended = builder.args(&settings).end();
+    assert!(ended.errors.contains("acquisition has published no samples for 2 s"), "{ended:#?}");
+    let report = ended.report();
+    assert_eq!(report.events.len(), 1, "{report:#?}");
+    assert_eq!(report.messages["blocks"].published, 0);
+}
+
+#[test]
+fn a_session_whose_files_were_deleted_says_so_and_ends_in_good_order() {
+    let mut tendon = TendonBuilder::run(&unique_session()).start();
+    tendon.wait_until_running();
+    let in_memory = |path: &std::path::PathBuf| path.starts_with("/dev/shm");
+    for file in Leftovers::of(tendon.session()).files.into_iter().filter(in_memory) {
+        let _ = std::fs::remove_file(file);
+    }
+    let ended = tendon.end();
+    ended.assert_failed(1, &["files in /dev/shm were deleted", "Start it again"]);
+    let report: Report = serde_json::from_str(ended.report_json.as_deref().unwrap()).unwrap();
+    assert_eq!(report.outcome, Outcome::BrokeOff);
+    assert!(report.error.unwrap().contains("files in /dev/shm were deleted"));
 }
 
 #[test]

@@ -510,15 +510,6 @@ fn the_path_to_the_wire_allocates_nothing_once_warm() {
 }
 
 #[test]
-fn an_order_without_a_session_says_how_to_get_one() {
-    let session = unique_session();
-    for order in ["stop", "arm"] {
-        let ended = TendonBuilder::command(&session, &[order, "--session", &session.to_string()]).end();
-        ended.assert_failed(1, &["no session", "tendon run"]);
-    }
-}
-
-#[test]
 fn the_space_bar_stops_and_a_arms() {
     let emulator = OwnArm::start();
     let session = unique_session();

@@ -132,6 +132,10 @@ fn a_session_is_found_though_the_environment_differs_and_its_files_were_deleted(
     let latency = run(&["latency", "--session", &name, "--interval", "300ms", "--duration", "1s"]);
     assert!(latency.output.contains("acquisition to dsp"), "{latency:#?}");
     std::fs::remove_dir_all(given.path().join("tendon")).unwrap();
+    wait_until("the session to miss its folder", || {
+        tendon.errors_so_far().contains("tendon was deleted while the session ran").then_some(())
+    });
+    run(&["latency", "--session", &name]).assert_failed(1, &[&name, "are gone", "start it again"]);
     assert!(run(&["stop", "--session", &name]).output.contains("the arm is stopped"));
     // Its namesake is still running, so files are left.
     TendonBuilder::run(tendon.session())

@@ -267,6 +267,9 @@ def run(arguments, stop_after: int | None = None) -> float:
             f"epochs {recipe['epochs']}; seed {arguments.seed}"
         ),
     }
+    # People have their numbers within a data set; those of recordings of your own mean nothing elsewhere.
+    if dataset.manifest.get("data_set"):
+        metadata["tendon.data_set"] = dataset.manifest["data_set"]
     export(model.cpu(), dataset.shape, metadata, arguments.out)
     sample = dataset.test[:: max(1, len(dataset.test) // 256)]
     parity = check_parity(model, np.ascontiguousarray(dataset.examples(sample)), arguments.out)

@@ -182,6 +182,11 @@ impl TendonBuilder {
         (command, self.folder)
     }
 
+    /// The folder that it will run in.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
     /// Sets an environment variable.
     pub fn env(mut self, name: &str, value: impl AsRef<std::ffi::OsStr>) -> TendonBuilder {
         self.command.env(name, value);

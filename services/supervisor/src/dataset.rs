@@ -4,8 +4,9 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
+use tendon_config::Config;
 use tendon_dataset::{BuildSettings, DatasetSettings, Manifest, OnsetStatistics, SplitEntry};
 use tendon_output::OutputFolder;
 use tendon_provenance::Provenance;
@@ -13,6 +14,7 @@ use tendon_recordings::Channel;
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
+use crate::options::Base;
 use crate::output::{print, tell};
 use crate::progress::Progress;
 use crate::provenance::PROGRAM;
@@ -40,6 +42,9 @@ pub enum Command {
     Build(BuildOptions),
 }
 
+/// Keys of the configuration that a data set depends on.
+const KEYS: [&str; 3] = ["acquisition.sample_rate_hz", "dsp.filter", "dsp.windows"];
+
 /// Command line of `tendon dataset build`.
 #[derive(Debug, Args)]
 pub struct BuildOptions {
@@ -55,15 +60,19 @@ pub struct BuildOptions {
     /// Sampling rate of recordings that do not state it, Hz; required with labels.csv.
     #[arg(long, value_name = "HZ")]
     recording_rate_hz: Option<f64>,
-    /// Sampling rate of the windows, Hz.
-    #[arg(long, default_value_t = 2000.0)]
-    sample_rate_hz: f64,
-    /// Length of a window, in samples.
-    #[arg(long, default_value_t = 600)]
-    window_samples: usize,
-    /// Samples from the start of one window to the start of the next. A quarter of the window means 75 % overlap.
-    #[arg(long, default_value_t = 150)]
-    increment_samples: usize,
+    /// The session's configuration, of which dsp.filter, dsp.windows and acquisition.sample_rate_hz are used.
+    #[command(flatten)]
+    base: Base,
+    /// Sampling rate of the windows, Hz; by default acquisition.sample_rate_hz of the configuration.
+    #[arg(long, value_name = "HZ")]
+    sample_rate_hz: Option<f64>,
+    /// Length of a window, in samples; by default dsp.windows.window_samples.
+    #[arg(long, value_name = "N")]
+    window_samples: Option<usize>,
+    /// Samples from the start of one window to the start of the next; by default dsp.windows.increment_samples. A
+    /// quarter of the window means 75 % overlap.
+    #[arg(long, value_name = "N")]
+    increment_samples: Option<usize>,
     /// What windows hold.
     #[arg(long, value_enum, default_value = "raw")]
     input: WindowInput,
@@ -73,9 +82,9 @@ pub struct BuildOptions {
     /// How the threshold for the onset of a movement is chosen.
     #[arg(long, value_enum, default_value = "baseline")]
     onset: OnsetMethod,
-    /// With --onset peak-percentile: the percentile of the envelope's peaks that serves as the threshold.
-    #[arg(long, default_value_t = 80.0, value_name = "PERCENT")]
-    peak_percentile: f64,
+    /// With --onset peak-percentile: the percentile of the envelope's peaks that serves as the threshold [default: 80].
+    #[arg(long, value_name = "PERCENT")]
+    peak_percentile: Option<f64>,
     /// Assumed start of the movement if no onset is found, ms after the cue; 0 keeps the whole recording.
     #[arg(long, default_value_t = 500.0)]
     fallback_ms: f64,
@@ -92,26 +101,37 @@ pub struct BuildOptions {
 }
 
 impl BuildOptions {
-    fn settings(&self) -> DatasetSettings {
+    /// How windows are cut: by the filter, the windows and the rate of the configuration that `tendon run` would read
+    /// here, unless an option says otherwise.
+    fn settings(&self) -> anyhow::Result<DatasetSettings> {
+        ensure!(
+            !(self.filtered && self.base.sets("dsp.filter")),
+            "--filtered leaves the filter out, so --set dsp.filter… has no effect: leave one of the two out"
+        );
+        ensure!(
+            self.peak_percentile.is_none() || self.onset == OnsetMethod::PeakPercentile,
+            "--peak-percentile is for --onset peak-percentile: add that, or leave --peak-percentile out"
+        );
+        let Config { acquisition, dsp, .. } = self.base.configuration_of("tendon dataset build", &KEYS)?;
         let default = DatasetSettings::default();
-        DatasetSettings {
+        Ok(DatasetSettings {
             channels: self.channels.iter().copied().map(Channel::Index).collect(),
             recording_rate_hz: self.recording_rate_hz,
-            sample_rate_hz: self.sample_rate_hz,
-            filter: default.filter.filter(|_| !self.filtered),
+            sample_rate_hz: self.sample_rate_hz.unwrap_or(acquisition.sample_rate_hz),
+            filter: (!self.filtered).then_some(dsp.filter),
             input: self.input,
             windows: WindowSettings {
-                window_samples: self.window_samples,
-                increment_samples: self.increment_samples,
+                window_samples: self.window_samples.unwrap_or(dsp.windows.window_samples),
+                increment_samples: self.increment_samples.unwrap_or(dsp.windows.increment_samples),
             },
             onset: OnsetSettings {
                 method: self.onset,
-                peak_percentile: self.peak_percentile,
+                peak_percentile: self.peak_percentile.unwrap_or(default.onset.peak_percentile),
                 ..default.onset
             },
             fallback_ms: self.fallback_ms,
             rest_start_ms: default.rest_start_ms,
-        }
+        })
     }
 }
 
@@ -159,6 +179,9 @@ fn provenance(options: &BuildOptions) -> anyhow::Result<Provenance> {
 pub fn build(options: &BuildOptions) -> Result<(), Failure> {
     let start = Instant::now();
     let default = BuildSettings::default();
+    let settings = options.settings().map_err(Failure::input)?;
+    // Before everything is read for its hash: what cannot be used is refused at once.
+    tendon_dataset::list(&settings, &options.recordings).map_err(Failure::input)?;
     OutputFolder::check(&options.out).map_err(Failure::input)?;
     let building = BuildSettings {
         test_people: options.test_people.clone(),
@@ -171,8 +194,7 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
         progress.show(&step);
         ControlFlow::Continue(())
     };
-    let built =
-        tendon_dataset::build(&options.settings(), &building, &options.recordings, &options.out, &mut show);
+    let built = tendon_dataset::build(&settings, &building, &options.recordings, &options.out, &mut show);
     let BuildProgress { progress, resumed_windows } = progress;
     drop(progress);
     let manifest = built.context("no data set was built").map_err(Failure::input)?;

@@ -1,18 +1,20 @@
 //! `tendon evaluate`: how well a model recognises windows, by the code that runs live.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
-use tendon_classifier::Classifier;
+use tendon_classifier::{Classifier, TrainedOn};
 use tendon_dataset::StoredDataset;
 use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
 use tendon_figures::write_score_figures;
-use tendon_output::{OutputFolder, collect};
+use tendon_output::{OutputFolder, check_distinct, collect};
 use tendon_provenance::Provenance;
+use tendon_recordings::Channel;
 
 use crate::Failure;
-use crate::output::{checked, print};
+use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
 
@@ -30,9 +32,9 @@ pub struct Options {
     /// it has seen says nothing about a stranger.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<u16>,
-    /// Channels of the recordings, in the order the model expects.
-    #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
-    channels: Vec<usize>,
+    /// Channels of the recordings, in the order the model expects [default: 0,3,5,8]. A data set has its own.
+    #[arg(long, value_name = "C,…", value_delimiter = ',')]
+    channels: Option<Vec<usize>>,
     /// ONNX Runtime's shared library. By default ORT_DYLIB_PATH, then what scripts/fetch-onnxruntime fetched.
     #[arg(long, value_name = "FILE")]
     runtime_library: Option<PathBuf>,
@@ -42,6 +44,13 @@ pub struct Options {
     /// Draw the confusion matrix and a histogram of the time per window into this folder, as PNG and SVG.
     #[arg(long, value_name = "FOLDER")]
     figures: Option<PathBuf>,
+}
+
+impl Options {
+    /// Channels of the recordings.
+    fn channels(&self) -> Vec<usize> {
+        self.channels.clone().unwrap_or_else(|| vec![0, 3, 5, 8])
+    }
 }
 
 /// What `--json` writes.
@@ -56,28 +65,31 @@ struct ScoresWithProvenance<'a> {
 pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
     let figures = options.figures.as_deref().map(OutputFolder::check).transpose().map_err(Failure::input)?;
+    let inputs = options.paths.iter().chain([&options.model]).map(PathBuf::as_path);
+    check_distinct(&json, &figures, inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
     let library =
         tendon_classifier::runtime_library(options.runtime_library.as_deref()).map_err(Failure::input)?;
     let classifier = Classifier::load(&library, &options.model).map_err(Failure::input)?;
     let trained = classifier.contract().provenance.clone();
-    let people_trained = classifier.contract().people_trained.clone();
+    let trained_on = classifier.contract().trained_on.clone();
     let mut works = Works::default();
     let scored = match &options.paths[..] {
         [folder] if StoredDataset::is_one(folder) => {
+            check_channels(options, folder).map_err(Failure::input)?;
             let mut progress = |done, total| works.show(done, total, "windows", String::new);
             score_dataset(classifier, folder, &options.people, &mut progress)
         }
         paths => {
             let mut progress = |done, total| works.show(done, total, "recordings", String::new);
-            score_recordings(classifier, paths, &options.channels, &options.people, &mut progress)
+            score_recordings(classifier, paths, &options.channels(), &options.people, &mut progress)
         }
     };
     works.clear();
     let (scores, tally) = scored.map_err(failure)?;
-    let is_trained_on = scores.people.iter().any(|person| people_trained.contains(person));
+    let people: Vec<u16> = scores.people.iter().copied().collect();
     let provenance = Provenance {
-        trained_on_person: (!people_trained.is_empty()).then_some(is_trained_on),
+        trained_on_person: TrainedOn::any_includes([&trained_on], scores.data_set.as_deref(), &people),
         ..provenance(options, begun).map_err(Failure::running)?
     };
     // Neither a full disk nor a closed output keeps the others from being written.
@@ -88,12 +100,25 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     written.and(print(text(options, &scores, trained.as_deref())).map_err(Failure::running))
 }
 
+/// Refuses channels that are not those of the data set: its windows cannot be given others.
+fn check_channels(options: &Options, folder: &Path) -> anyhow::Result<()> {
+    let Some(channels) = &options.channels else { return Ok(()) };
+    let named: Vec<Channel> = channels.iter().copied().map(Channel::Index).collect();
+    let dataset = StoredDataset::open(folder)?;
+    ensure!(
+        named == dataset.manifest().settings.channels,
+        "--channels is for recordings, but {} is a data set of other channels: leave --channels out",
+        folder.display()
+    );
+    Ok(())
+}
+
 /// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
 fn provenance(options: &Options, begun: Provenance) -> anyhow::Result<Provenance> {
     if options.json.is_none() {
         return Ok(begun);
     }
-    let configuration = serde_json::json!({ "people": options.people, "channels": options.channels });
+    let configuration = serde_json::json!({ "people": options.people, "channels": options.channels() });
     let recordings: Vec<PathBuf> = options
         .paths
         .iter()
@@ -116,8 +141,7 @@ fn text(options: &Options, scores: &Scores, trained: Option<&str>) -> String {
     }
     text += &format!("\n{}\n", scores.evaluation);
     if !scores.skipped.is_empty() {
-        text += &format!("{} recordings or trials left out:\n", scores.skipped.len());
-        scores.skipped.iter().for_each(|skipped| text += &format!("  {skipped}\n"));
+        text += &format!("{}\n", left_out(&scores.skipped, "recordings or trials"));
     }
     text +=
         &format!("{:.1} s in all, {:.0} times faster than real time", scores.duration_s, scores.x_real_time);

@@ -27,10 +27,22 @@ pub struct Options {
     #[arg(long, value_name = "FOLDER", default_value = "experiments")]
     out: PathBuf,
     /// People of 3DC to hold out for the test.
-    #[arg(long, value_name = "P,…", value_delimiter = ',', default_value = "19,20,22")]
+    #[arg(
+        long,
+        value_name = "P,…",
+        value_delimiter = ',',
+        default_value = "19,20,22",
+        requires = "three_dc"
+    )]
     three_dc_test_people: Vec<u16>,
     /// People of the Ozdemir data set to hold out for the test; the default is the paper's choice.
-    #[arg(long, value_name = "P,…", value_delimiter = ',', default_value = "36,37,38,39,40")]
+    #[arg(
+        long,
+        value_name = "P,…",
+        value_delimiter = ',',
+        default_value = "36,37,38,39,40",
+        requires = "ozdemir"
+    )]
     ozdemir_test_people: Vec<u16>,
     /// Seeds of the trainings. Comparisons report the spread over all of them.
     #[arg(long, value_delimiter = ',', default_value = "0,1,2")]
@@ -39,7 +51,7 @@ pub struct Options {
     #[arg(long, default_value_t = 30)]
     epochs: u32,
     /// Trainings to run at the same time, each on one core. By default, as many as there are cores.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "no_training")]
     jobs: Option<usize>,
     /// Do not train: report on the models that exist.
     #[arg(long)]

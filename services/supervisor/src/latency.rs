@@ -40,7 +40,7 @@ pub fn show(options: &Options) -> Result<(), Failure> {
     let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
     become_owner(&options.session, user).map_err(Failure::input)?;
     let observer = Observer::join(&options.session, "latency").map_err(|error| match error {
-        ObserverError::NotRunning { .. } | ObserverError::NoTopic { .. } => Failure::input(error),
+        ObserverError::Find(_) => Failure::input(error),
         _ => Failure::running(error),
     })?;
     watch(options, observer).map_err(Failure::running)

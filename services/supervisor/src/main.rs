@@ -31,14 +31,15 @@ use std::time::Duration;
 
 use clap::{Parser, Subcommand};
 use tendon_process::Order;
-use tendon_session::Writer;
+use tendon_session::{SessionFailure, Writer};
 
 /// How long a terminal may take what is said at the end. One whose reader stopped never takes it.
 const TERMINAL_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// What `tendon --help` ends with.
 const EXIT_CODES: &str = "Exit codes: 0 done, also when a signal or the terminal's end stopped the session, or nobody \
-    read the output; 1 something broke off, or a result could not be written; 2 bad input, nothing was started.";
+    read the output; 1 something broke off, or a result could not be written; 2 bad input, no such session, or the \
+    session could not start.";
 
 /// Steer an assistive robot arm with forearm muscle signals.
 #[derive(Debug, Parser)]
@@ -88,6 +89,12 @@ impl Failure {
 
     fn running(error: impl Into<anyhow::Error>) -> Failure {
         Failure { error: error.into(), exit_code: 1 }
+    }
+
+    /// The reason in one line, for a report: with what a stage that ended had said of it.
+    fn reason(&self) -> String {
+        let of_session = self.error.downcast_ref::<SessionFailure>().map(SessionFailure::reason);
+        of_session.unwrap_or_else(|| format!("{:#}", self.error))
     }
 }
 

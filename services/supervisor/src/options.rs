@@ -39,6 +39,21 @@ impl Base {
         finish(self.read()?)
     }
 
+    /// The same for a command that uses only some keys: `used`, or what begins with them.
+    ///
+    /// # Errors
+    ///
+    /// What makes no sense, by name; also a key that was set and that the command does not use.
+    pub fn configuration_of(&self, command: &str, used: &[&str]) -> anyhow::Result<Config> {
+        check_keys(&self.assignments, command, used)?;
+        self.configuration()
+    }
+
+    /// Whether a key was set that begins with `beginning`.
+    pub fn sets(&self, beginning: &str) -> bool {
+        self.assignments.iter().any(|assignment| assignment.trim_start().starts_with(beginning))
+    }
+
     /// The file, then what was set.
     fn read(&self) -> anyhow::Result<Config> {
         let mut config = read_configuration(self.config.as_deref())?;
@@ -123,6 +138,7 @@ impl Options {
             config.session = session.clone();
         }
         self.set_source(&mut config)?;
+        self.check_effects_on_source(&config)?;
         if let Some(strategy) = self.strategy {
             config.decision.strategy = strategy;
         }
@@ -130,6 +146,12 @@ impl Options {
             config.inference.model = Some(model.clone());
         }
         if let Some(model) = &self.rest_move_model {
+            ensure!(
+                config.decision.strategy == Strategy::TwoStage,
+                "--rest-move-model is for the strategy two_stage, but decision.strategy is \"{}\": add --strategy \
+                 two_stage, or leave --rest-move-model out",
+                config.decision.strategy.name()
+            );
             config.inference.rest_move_model = Some(model.clone());
         }
         if let Some(realtime) = self.realtime {
@@ -181,6 +203,35 @@ impl Options {
         Ok(())
     }
 
+    /// Refuses options that say what the simulated person does where nobody is simulated.
+    fn check_effects_on_source(&self, config: &Config) -> anyhow::Result<()> {
+        let given = [
+            ("--seed", self.seed.is_some()),
+            ("--script", self.script.is_some()),
+            ("--random", self.random),
+            ("--keyboard", self.keyboard),
+        ];
+        let source = config.acquisition.source;
+        let Some((option, _)) = given.into_iter().find(|(_, is_given)| *is_given) else { return Ok(()) };
+        ensure!(
+            self.replay.is_none(),
+            "{option} is for the simulated DAQ, but --replay takes the samples from a recording: leave one of the two out"
+        );
+        ensure!(
+            source == Source::Simulate,
+            "{option} is for the simulated DAQ, but acquisition.source is \"{}\": leave {option} out, or add --set \
+             acquisition.source=simulate",
+            source.name()
+        );
+        Ok(())
+    }
+
+    /// The files that the session reads: its outputs must not replace them.
+    pub fn inputs(&self, config: &Config) -> Vec<PathBuf> {
+        let named = config.clone().files_mut().map(|file| file.clone()).collect::<Vec<_>>();
+        named.into_iter().chain(self.base.config.clone()).collect()
+    }
+
     /// Whether the simulated user does the task: nobody else says which gestures are made.
     pub fn has_simulated_user(&self, source: Source) -> bool {
         let by_others = self.script.is_some() || self.random || self.keyboard;
@@ -197,7 +248,8 @@ fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
     let default = Path::new(DEFAULT_FILE);
     match file {
         Some(file) => Ok(Config::read(file)?),
-        None if default.is_file() => {
+        // Also when it is no file: what lies there is refused, not passed over.
+        None if default.symlink_metadata().is_ok() => {
             // It names libraries that are loaded: somebody else's is read only when it is asked for.
             let owner = default.metadata().context("cannot look at ./tendon.toml")?.uid();
             ensure!(
@@ -209,6 +261,26 @@ fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
         }
         None => Ok(Config::default()),
     }
+}
+
+/// Refuses assignments of keys that `command` does not use: they would have no effect.
+///
+/// # Errors
+///
+/// The first such assignment.
+pub fn check_keys(assignments: &[String], command: &str, used: &[&str]) -> anyhow::Result<()> {
+    for assignment in assignments {
+        let key = assignment.split('=').next().unwrap_or_default().trim();
+        let is_used = |used: &&str| {
+            key.strip_prefix(*used).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
+        };
+        ensure!(
+            used.iter().any(is_used),
+            "--set {assignment}: {command} does not use {key}, only {}: leave it out",
+            used.join(", ")
+        );
+    }
+    Ok(())
 }
 
 /// Makes all paths absolute, and checks the whole.

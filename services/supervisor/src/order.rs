@@ -3,7 +3,7 @@
 use anyhow::Context;
 use clap::Args;
 use nix::unistd::User;
-use tendon_process::{Order, order_robot};
+use tendon_process::{Order, OrderError, order_robot};
 use tendon_transport::SessionName;
 
 use crate::Failure;
@@ -23,7 +23,10 @@ pub struct Options {
 /// Gives the robot the order and says what it answered.
 pub fn give(options: &Options, order: Order) -> Result<(), Failure> {
     let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
-    let answer = order_robot(&options.session, user, order).map_err(Failure::running)?;
+    let answer = order_robot(&options.session, user, order).map_err(|error| match error {
+        OrderError::Find(_) => Failure::input(error),
+        OrderError::NoAnswer(_) | OrderError::Socket { .. } => Failure::running(error),
+    })?;
     if answer.starts_with("not armed") {
         return Err(Failure::running(anyhow::anyhow!(answer)));
     }

@@ -38,6 +38,20 @@ pub fn tell(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
+/// How many reasons are shown of what was left out.
+const REASONS_SHOWN: usize = 3;
+
+/// What was left out, in a few lines: how many `things`, and why the first ones.
+pub fn left_out(skipped: &[String], things: &str) -> String {
+    let mut lines = vec![format!("{} {things} left out:", skipped.len())];
+    lines.extend(skipped.iter().take(REASONS_SHOWN).map(|skipped| format!("  {skipped}")));
+    let rest = skipped.len().saturating_sub(REASONS_SHOWN);
+    if rest > 0 {
+        lines.push(format!("  … and {rest} more; --json FILE lists them all"));
+    }
+    lines.join("\n")
+}
+
 /// Checks, before a command starts, a file that it is to write in the end, and says so if one is there that it will
 /// replace.
 ///
@@ -50,4 +64,26 @@ pub fn checked(path: Option<&Path>) -> Result<Option<OutputFile>, Failure> {
         tell(format_args!("{} is there already and will be replaced", file.path().display()));
     }
     Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_left_out_is_told_in_a_few_lines() {
+        let skipped: Vec<String> = (0..200).map(|number| format!("{number}.csv: empty")).collect();
+        let text = left_out(&skipped, "recordings");
+        assert_eq!(
+            text.lines().collect::<Vec<_>>(),
+            [
+                "200 recordings left out:",
+                "  0.csv: empty",
+                "  1.csv: empty",
+                "  2.csv: empty",
+                "  … and 197 more; --json FILE lists them all"
+            ]
+        );
+        assert_eq!(left_out(&skipped[..3], "recordings").lines().count(), 4);
+    }
 }

@@ -6,8 +6,8 @@ use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use tendon_emg_simulation::{FitSettings, Profile, Segment, fit as fit_profile};
 use tendon_gesture::Gesture;
-use tendon_output::collect;
-use tendon_recordings::{Channel, RecordingSettings, RecordingSource};
+use tendon_output::{check_distinct, collect};
+use tendon_recordings::{Channel, RecordingSettings, RecordingSource, three_dc};
 
 use crate::Failure;
 use crate::output::{checked, print, tell};
@@ -45,6 +45,8 @@ pub struct FitOptions {
 /// Fits and writes a profile.
 pub fn fit(options: &FitOptions) -> Result<(), Failure> {
     let out = checked(Some(&options.out))?;
+    let inputs = options.recordings.iter().map(PathBuf::as_path);
+    check_distinct(&out, [], inputs).map_err(Failure::input)?;
     let profile = fitted(options).map_err(Failure::input)?;
     collect(out.iter().map(|file| file.write_bytes(profile.to_toml().as_bytes())))
         .map_err(Failure::running)?;
@@ -65,6 +67,12 @@ fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
     let mut segments: Vec<(Gesture, Vec<f32>)> = Vec::new();
     let mut sample_rate_hz = None;
     for path in &options.recordings {
+        ensure!(
+            three_dc::is_three_dc(path),
+            "{}: a table does not say which gestures were made: give a folder of the 3DC layout \
+             (…/ParticipantP/train/EMG), or one of its files",
+            path.display()
+        );
         let mut recording = RecordingSource::open(path, &settings)?;
         let rate = recording.sample_rate_hz();
         ensure!(

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use anyhow::Context;
-use tendon_classifier::{ModelFiles, people_trained};
+use tendon_classifier::{ModelFiles, TrainedOn, trained_on};
 use tendon_config::{Config, Source};
 use tendon_provenance::{Program, Provenance};
-use tendon_recordings::three_dc;
+use tendon_recordings::{ozdemir, three_dc};
 
 /// This program.
 pub const PROGRAM: Program = Program { version: env!("CARGO_PKG_VERSION"), commit: env!("TENDON_COMMIT") };
@@ -21,18 +21,23 @@ pub fn of_session(config: &Config) -> anyhow::Result<Provenance> {
     let replay = &config.acquisition.replay;
     let recording = replay.path.clone().into_iter().filter(|_| config.acquisition.source == Source::Replay);
     let recording: Vec<_> = recording.collect();
+    if !recording.is_empty() {
+        // Before all of it is read for its hash.
+        config.acquisition.check_recording()?;
+    }
     let person = recording.first().and_then(|path| person(path));
-    let trained_on_person = person.filter(|_| !trained.is_empty()).map(|person| trained.contains(&person));
+    let trained_on_person =
+        person.and_then(|(data_set, person)| TrainedOn::any_includes(&trained, Some(data_set), &[person]));
     let provenance = Provenance::begin(PROGRAM).with_configuration(config)?.with_models(models.paths())?;
     Ok(Provenance { trained_on_person, ..provenance.with_recording(&recording)? })
 }
 
-/// The models of a session, and the numbers of the people that they were trained on.
+/// The models of a session, and whom each was trained on.
 ///
 /// # Errors
 ///
 /// When one is missing or cannot be read.
-pub fn models(config: &Config) -> anyhow::Result<(ModelFiles, Vec<u16>)> {
+pub fn models(config: &Config) -> anyhow::Result<(ModelFiles, Vec<TrainedOn>)> {
     let inference = &config.inference;
     let models = ModelFiles::find(
         config.decision.strategy,
@@ -41,15 +46,16 @@ pub fn models(config: &Config) -> anyhow::Result<(ModelFiles, Vec<u16>)> {
     )?;
     let mut trained = Vec::new();
     for model in models.paths() {
-        trained.extend(people_trained(model).with_context(|| {
+        trained.push(trained_on(model).with_context(|| {
             format!("cannot open {}: check the path and its permissions", model.display())
         })?);
     }
     Ok((models, trained))
 }
 
-/// The number of the person whose recording this is, where the layout tells it.
-fn person(recording: &Path) -> Option<u16> {
-    let origin = three_dc::origin(recording).or_else(|| three_dc::origin(recording.parent()?));
-    origin.map(|(person, _)| person)
+/// The data set that a recording is of, and the number of its person there, where the layout tells it.
+fn person(recording: &Path) -> Option<(&'static str, u16)> {
+    let of_three_dc = three_dc::origin(recording).or_else(|| three_dc::origin(recording.parent()?));
+    let of_three_dc = of_three_dc.map(|(person, _)| (three_dc::DATA_SET, person));
+    of_three_dc.or_else(|| ozdemir::trial_of_name(recording).map(|trial| (ozdemir::DATA_SET, trial.person)))
 }

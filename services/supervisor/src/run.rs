@@ -1,7 +1,8 @@
 //! `tendon run`: one session from start to report.
 //!
 //! ```text
-//! options ─▶ lock ─▶ check ─▶ Watch ─▶ turn, show, turn, show, … ─▶ stop ─▶ table, JSON, log, figures
+//! options ─▶ lock ─▶ check ─▶ Watch ─▶ turn, show, turn, show, … ─▶ stop ─▶ Known ─▶ table, JSON, log, figures
+//!    └── refused ──┴── refused ──┴── a stage fails to start ────────────────▶
 //! ```
 
 use std::sync::mpsc::channel;
@@ -9,11 +10,12 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tendon_config::Config;
-use tendon_messages::{STATE_LENGTH, Stage, StateHeader};
+use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
+use tendon_output::OutputErrors;
 use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
-use tendon_report::{Report, SessionFacts};
+use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
     Keyboard, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, stop_on_signals,
 };
@@ -30,24 +32,27 @@ const TICK: Duration = Duration::from_millis(50);
 /// The same with a task: the simulated user answers no later than a person would notice.
 const TASK_TICK: Duration = Duration::from_millis(20);
 
-/// Runs a session.
+/// Runs a session. However it ends, the files that were asked for are written; not with a configuration that makes no
+/// sense, because it may name one of them as an input.
 pub fn run(options: &Options) -> Result<(), Failure> {
     let config = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
-    let outputs = SessionOutputs::check(json.as_deref(), latency_log.as_deref(), figures.as_deref())?;
-    let provenance = provenance::of_session(&config).map_err(Failure::input)?;
+    let outputs = SessionOutputs::check(
+        json.as_deref(),
+        latency_log.as_deref(),
+        figures.as_deref(),
+        &options.inputs(&config),
+    )?;
     let output = Writer::standard_output().map_err(Failure::running)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
-    let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
-    // What a killed session of this name left behind goes before anything is opened.
-    Leftovers::remove(&lock, &config.session);
     let terminal = Terminal { output, errors };
-    let result = checks::shared_memory(&config)
-        .map_err(Failure::input)
-        .and_then(|_| run_locked(options, &config, &outputs, provenance, &terminal));
-    Leftovers::remove(&lock, &config.session);
+    let mut known = Known::default();
+    let result = run_configured(options, &config, &mut known, &terminal);
+    let written = known.report(&result, &outputs, &terminal);
     // What is said of the end comes after all else, if the terminal takes it.
     let _ = terminal.errors.finish(TERMINAL_TIMEOUT);
+    // What ended the session says more than what came of that.
+    let result = result.and(written.map_err(Failure::running));
     match terminal.output.finish(TERMINAL_TIMEOUT) {
         // Nobody reads the table; it is no less true for that.
         Ok(()) | Err(OutputError::Closed(_) | OutputError::Stalled(_)) => result,
@@ -61,11 +66,62 @@ struct Terminal {
     errors: Writer,
 }
 
+/// What is known of a session so far: of one that ended early, less.
+#[derive(Default)]
+struct Known {
+    facts: SessionFacts,
+    task: Option<TaskRun>,
+    /// What the stages measured, once all of them were ready and the session is over.
+    measurements: Option<SessionMeasurements>,
+}
+
+impl Known {
+    /// Prints the table and writes the files that were asked for.
+    fn report(
+        mut self,
+        result: &Result<(), Failure>,
+        outputs: &SessionOutputs,
+        terminal: &Terminal,
+    ) -> Result<(), OutputErrors> {
+        self.facts.outcome = match (result, &self.measurements) {
+            (_, None) => Outcome::NotStarted,
+            (Ok(()), Some(_)) => Outcome::Completed,
+            (Err(_), Some(_)) => Outcome::BrokeOff,
+        };
+        self.facts.error = result.as_ref().err().map(Failure::reason);
+        let report =
+            Report::new(self.facts, self.measurements.as_ref().unwrap_or(&SessionMeasurements::default()));
+        if self.measurements.is_some() {
+            terminal.output.say(report.table().to_string());
+        } else if result.is_ok() {
+            terminal.errors.say("tendon: the session ended before it began, so nothing was measured");
+        }
+        let measurements = self.measurements.unwrap_or_default();
+        outputs.write(&report, &measurements, self.task.as_ref(), &terminal.errors)
+    }
+}
+
+fn run_configured(
+    options: &Options,
+    config: &Config,
+    known: &mut Known,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
+    known.configured(config)?;
+    let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
+    // What a killed session of this name left behind goes before anything is opened.
+    Leftovers::remove(&lock, &config.session);
+    let result = checks::shared_memory(config)
+        .map_err(Failure::input)
+        .and_then(|_| run_locked(options, config, known, terminal));
+    Leftovers::remove(&lock, &config.session);
+    result
+}
+
 fn run_locked(
     options: &Options,
     config: &Config,
-    outputs: &SessionOutputs,
-    provenance: Provenance,
+    known: &mut Known,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     let robot = RobotLine::default();
@@ -74,7 +130,7 @@ fn run_locked(
     let observer = Observer::before_the_stages(&config.session, "supervisor").map_err(Failure::input)?;
     let has_simulated_user = options.has_simulated_user(config.acquisition.source);
     let task = options.task.map(|kind| zones::task(kind, config, has_simulated_user));
-    let mut task = task.transpose().map_err(Failure::input)?;
+    known.task = task.transpose().map_err(Failure::input)?;
     // From before the arm goes to its start position: it can be stopped then, too.
     let keyboard = if options.keyboard || Keyboard::is_there() {
         let keyboard = Keyboard::listen(&robot, &sender, options.keyboard);
@@ -84,27 +140,15 @@ fn run_locked(
     };
     let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors)
         .map_err(Failure::input)?;
-    let watched = watch_until_the_end(&mut watch, options, config, &mut task, terminal);
+    let watched = watch_until_the_end(&mut watch, options, config, &mut known.task, terminal);
     let (usage, stopped) = watch.stop(|state| {
         // What ends the task does not keep the session from ending.
-        let _ = task.as_mut().map(|task| task.observe(&state.header, state.position_mm()));
+        let _ = known.task.as_mut().map(|task| task.observe(&state.header, state.position_mm()));
     });
     drop(keyboard);
     terminal.errors.end_live();
-    let written = if watch.has_begun() {
-        let measurements = watch.observer().measurements();
-        let facts = SessionFacts { provenance, ..facts(config, &watch, usage, task.as_ref()) };
-        let report = Report::new(facts, measurements);
-        terminal.output.say(report.table().to_string());
-        outputs.write(&report, measurements, task.as_ref())
-    } else {
-        if watched.is_ok() {
-            terminal.errors.say("tendon: there is no report: the session ended before it began");
-        }
-        Ok(())
-    };
-    // What ended the session says more than what came of that.
-    watched.and(stopped.map_err(Failure::running)).and(written.map_err(Failure::running))
+    known.session_ended(config, &watch, usage);
+    watched.and(stopped.map_err(Failure::running))
 }
 
 /// Watches until the time is over, the recording is, somebody says stop, or a stage ends that cannot be started
@@ -144,11 +188,8 @@ fn watch_until_the_end(
 }
 
 fn line(watch: &Watch<'_>, task: Option<&TaskRun>) -> String {
-    let newest = watch.observer().newest_state();
-    let (header, payload) =
-        newest.map_or((StateHeader::default(), [0.0; STATE_LENGTH]), |state| (state.header, state.payload));
     let task = task.map_or(String::new(), TaskRun::live);
-    live_line(watch.elapsed(), &header, &payload, &task)
+    live_line(watch.elapsed(), watch.observer().newest_state(), watch.standstill().as_deref(), &task)
 }
 
 fn failure(error: SessionFailure) -> Failure {
@@ -187,32 +228,44 @@ fn introduce(
     }
 }
 
-/// What the session knows of itself.
-fn facts(config: &Config, watch: &Watch<'_>, usage: Usage, task: Option<&TaskRun>) -> SessionFacts {
-    let Config { acquisition, decision, robot, .. } = config;
-    let ready = watch.ready();
-    let detail = |stage| ready.get(&stage).map_or(String::new(), |ready| ready.detail.clone());
-    let scheduling =
-        |(stage, ready): (&Stage, &Ready)| (stage.name().to_owned(), ready.scheduling.to_string());
-    let is_full_speed = config.delivery() == Delivery::Lossless;
-    let observer = watch.observer();
-    SessionFacts {
-        session: config.session.to_string(),
-        duration: usage.duration,
-        source: acquisition.source.name().to_owned(),
-        robot: robot.backend.name().to_owned(),
-        model: detail(Stage::Inference),
-        strategy: decision.strategy.name().to_owned(),
-        scheduling: ready.iter().map(scheduling).collect(),
-        full_speed_block_s: is_full_speed
-            .then(|| acquisition.block_samples as f64 / acquisition.sample_rate_hz),
-        cpu_s: usage.cpu_s,
-        memory_mb: usage.memory_mb,
-        final_position_mm: observer
-            .newest_state()
-            .map_or([0.0; 3], |state| state.position_mm().map(f64::from)),
-        restarts: watch.restarts(),
-        task: task.and_then(|task| task.report(observer.states_lost())),
-        ..SessionFacts::default()
+impl Known {
+    /// Takes what the configuration says.
+    fn configured(&mut self, config: &Config) -> Result<(), Failure> {
+        let facts = &mut self.facts;
+        facts.session = config.session.to_string();
+        facts.source = config.acquisition.source.name().to_owned();
+        facts.robot = config.robot.backend.name().to_owned();
+        facts.strategy = config.decision.strategy.name().to_owned();
+        // Of one whose models or recording cannot be read, this is all that is known.
+        let begun = Provenance::begin(provenance::PROGRAM).with_configuration(config);
+        facts.provenance = begun.map_err(Failure::running)?;
+        facts.provenance = provenance::of_session(config).map_err(Failure::input)?;
+        Ok(())
+    }
+
+    /// Takes what the stages said, used and measured.
+    fn session_ended(&mut self, config: &Config, watch: &Watch<'_>, usage: Usage) {
+        let (ready, observer) = (watch.ready(), watch.observer());
+        let scheduling =
+            |(stage, ready): (&Stage, &Ready)| (stage.name().to_owned(), ready.scheduling.to_string());
+        let is_full_speed = config.delivery() == Delivery::Lossless;
+        let acquisition = &config.acquisition;
+        self.facts = SessionFacts {
+            duration: usage.duration,
+            model: ready.get(&Stage::Inference).map_or(String::new(), |ready| ready.detail.clone()),
+            scheduling: ready.iter().map(scheduling).collect(),
+            full_speed_block_s: is_full_speed
+                .then(|| acquisition.block_samples as f64 / acquisition.sample_rate_hz),
+            cpu_s: usage.cpu_s,
+            memory_mb: usage.memory_mb,
+            final_position_mm: observer
+                .newest_state()
+                .map_or([0.0; 3], |state| state.position_mm().map(f64::from)),
+            restarts: watch.restarts(),
+            events: watch.events().to_vec(),
+            task: self.task.as_ref().and_then(|task| task.report(observer.states_lost())),
+            ..std::mem::take(&mut self.facts)
+        };
+        self.measurements = watch.has_begun().then(|| observer.measurements().clone());
     }
 }

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use tendon_gesture::Gesture;
-use tendon_messages::{ArmPhase, Hindrance, Permission, STATE_LENGTH, Stage, StateHeader, StopReason};
+use tendon_messages::{ArmPhase, Hindrance, Permission, Stage, StateHeader, StopReason};
+use tendon_observer::State;
 use tendon_xarm::Fault;
 
 /// What the keys do, for the person at them.
@@ -12,55 +13,93 @@ pub const KEYS: &str = "keys: space STOP, a arm again, q quit";
 pub const GESTURE_KEYS: &str =
     "keys: e extension, f flexion, u ulnar, r radial, g grip, n none of them (rest)";
 
+/// What stands for a value that is not known yet.
+const UNKNOWN: &str = "-";
+
 /// The live line. What matters most comes first, as a narrow terminal shows its beginning: why the arm does not move,
-/// time, gesture, confidence, task; then pose, gripper, and age of the newest sample at the command.
-pub fn live_line(elapsed: Duration, header: &StateHeader, state: &[f32], task: &str) -> String {
-    let gesture = Gesture::from_index(header.gesture.into()).unwrap_or(Gesture::Rest);
-    let position = state.get(7..10).filter(|_| state.len() == STATE_LENGTH).unwrap_or(&[0.0; 3]);
-    let command_ns = header.trace.published_ns[Stage::Decision.index()];
-    let latency_us = command_ns.saturating_sub(header.trace.captured_ns) as f64 / 1e3;
+/// time, gesture, confidence, task; then pose, gripper, and age of the newest sample at the command. `standstill` says
+/// which stage makes no progress.
+pub fn live_line(elapsed: Duration, state: Option<&State>, standstill: Option<&str>, task: &str) -> String {
+    let standing = match state {
+        Some(state) => standing(&state.header, standstill),
+        None => format!("{}waiting for the arm's first report  ", troubled(standstill)),
+    };
+    let commanded = state.map(|state| &state.header).filter(|header| header.trace.captured_ns > 0);
+    let gesture =
+        commanded.map(|header| Gesture::from_index(header.gesture.into()).unwrap_or(Gesture::Rest).name());
+    let latency_us = commanded.map(|header| {
+        let command_ns = header.trace.published_ns[Stage::Decision.index()];
+        command_ns.saturating_sub(header.trace.captured_ns) as f32 / 1e3
+    });
+    // All zeros before the arm has reported: no flange is ever in its own base.
+    let position_mm = state.map(State::position_mm).filter(|position_mm| *position_mm != [0.0; 3]);
+    let [x, y, z] = [0, 1, 2].map(|axis| number(position_mm.map(|position_mm| position_mm[axis]), 1));
     format!(
-        "{}{:6.1} s  {gesture:<9} {:3.0} %{task}  x {:6.1}  y {:6.1}  z {:6.1} mm  gripper {:3.0}  sample to command {:5.0} us",
-        standing(header),
+        "{standing}{:6.1} s  {:<9} {:>3} %{task}  x {x:>6}  y {y:>6}  z {z:>6} mm  gripper {:>3}  sample to command \
+         {:>5} us",
         elapsed.as_secs_f64(),
-        100.0 * header.confidence,
-        position[0],
-        position[1],
-        position[2],
-        header.gripper_position,
-        latency_us,
+        gesture.unwrap_or(UNKNOWN),
+        number(commanded.map(|header| 100.0 * header.confidence), 0),
+        number(state.map(|state| state.header.gripper_position), 0),
+        number(latency_us, 0),
     )
 }
 
+/// A number with so many decimals, never `-0`; a dash for one that is not known.
+fn number(value: Option<f32>, decimals: usize) -> String {
+    let Some(value) = value.filter(|value| value.is_finite()) else { return UNKNOWN.to_owned() };
+    let text = format!("{value:.decimals$}");
+    match text.strip_prefix('-') {
+        Some(magnitude) if magnitude.chars().all(|digit| matches!(digit, '0' | '.')) => magnitude.to_owned(),
+        _ => text,
+    }
+}
+
+/// A stage that makes no progress, at the beginning of the line.
+fn troubled(standstill: Option<&str>) -> String {
+    standstill.map_or(String::new(), |standstill| format!("{standstill}  "))
+}
+
 /// Why the arm does not move, or not as it should; empty if it does.
-fn standing(header: &StateHeader) -> String {
+fn standing(header: &StateHeader, standstill: Option<&str>) -> String {
     let reason = match (Fault::new(tendon_xarm::Source::Controller, header.fault_code), header.stop_reason) {
         (Some(fault), _) => fault.to_string(),
         (None, number) => StopReason::from_number(number).map_or(String::new(), |reason| reason.to_string()),
     };
     let calibration_left_s = header.calibration_left_ms.div_ceil(1000);
+    let trouble = troubled(standstill);
     match (Permission::from_number(header.permission), Hindrance::from_number(header.hindrance)) {
         (Permission::Stopped, _) if header.arm_phase == ArmPhase::BringingUp.number() => {
-            "the arm switches its motors on  ".to_owned()
+            format!("the arm switches its motors on  {trouble}")
         }
-        (Permission::Stopped, _) => format!("ARM STOPPED ({reason}): `tendon arm` or key a goes on  "),
+        (Permission::Stopped, _) => {
+            format!("ARM STOPPED ({reason}): `tendon arm` or key a goes on  {trouble}")
+        }
+        // It would wait for a rest in vain.
+        (Permission::AwaitRest, _) if standstill.is_some() => format!("ARM RESTS  {trouble}"),
         (Permission::AwaitRest, _) if calibration_left_s > 0 => {
             format!("calibrating, {calibration_left_s} s of rest left  ")
         }
         (Permission::AwaitRest, _) if reason.is_empty() => "relax to begin  ".to_owned(),
         (Permission::AwaitRest, _) => format!("ARM RESTS ({reason}): relax to go on  "),
-        (Permission::Granted, Some(hindrance)) => format!("HELD UP ({hindrance})  "),
-        (Permission::Granted, None) => String::new(),
+        (Permission::Granted, Some(hindrance)) => format!("HELD UP ({hindrance})  {trouble}"),
+        (Permission::Granted, None) => trouble,
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use tendon_messages::{STATE_LENGTH, Trace};
+
     use super::*;
+
+    fn line_of(state: Option<State>, standstill: Option<&str>) -> String {
+        live_line(Duration::from_secs(3), state.as_ref(), standstill, "")
+    }
 
     #[test]
     fn on_a_narrow_terminal_one_sees_why_the_arm_does_not_move() {
-        let line = |header: StateHeader| live_line(Duration::from_secs(3), &header, &[0.0; STATE_LENGTH], "");
+        let line = |header| line_of(Some(State { header, payload: [0.0; STATE_LENGTH] }), None);
         let stopped = StateHeader {
             permission: Permission::Stopped as u8,
             stop_reason: StopReason::Ordered as u8,
@@ -78,5 +117,51 @@ mod tests {
         let held = StateHeader { hindrance, ..granted };
         assert!(line(held).starts_with("HELD UP (at the workspace limit +z)"));
         assert!(line(granted).starts_with("   3.0 s"));
+    }
+
+    #[test]
+    fn what_is_not_known_yet_is_a_dash() {
+        let nothing = line_of(None, None);
+        let dashes = "   3.0 s  -           - %  x      -  y      -  z      - mm  gripper   -  sample to command     - us";
+        assert_eq!(nothing, format!("waiting for the arm's first report  {dashes}"));
+        // An arm without a gripper, before it has reported, and before the first command.
+        let header = StateHeader {
+            permission: Permission::AwaitRest as u8,
+            gripper_position: f32::NAN,
+            ..StateHeader::default()
+        };
+        let connecting = line_of(Some(State { header, payload: [0.0; STATE_LENGTH] }), None);
+        assert_eq!(connecting, format!("relax to begin  {dashes}"));
+    }
+
+    #[test]
+    fn no_number_is_minus_zero() {
+        let mut trace = Trace { captured_ns: 1_000_000, ..Trace::default() };
+        trace.published_ns[Stage::Decision.index()] = 1_350_000;
+        let header =
+            StateHeader { trace, confidence: 0.98, gripper_position: -0.4, ..StateHeader::default() };
+        let mut payload = [0.0; STATE_LENGTH];
+        payload[7..10].copy_from_slice(&[386.04, -0.04, -120.26]);
+        let line = line_of(Some(State { header, payload }), None);
+        let expected = "x  386.0  y    0.0  z -120.3 mm  gripper   0  sample to command   350 us";
+        assert!(line.contains("rest       98 %") && line.ends_with(expected), "{line}");
+    }
+
+    #[test]
+    fn a_stage_that_stands_still_is_named_where_a_narrow_terminal_shows_it() {
+        let standstill = Some("acquisition: no samples for 3 s");
+        let line = |permission: Permission, stop_reason: u8| {
+            let header = StateHeader { permission: permission as u8, stop_reason, ..StateHeader::default() };
+            line_of(Some(State { header, payload: [0.0; STATE_LENGTH] }), standstill)
+        };
+        assert!(line(Permission::Granted, 0).starts_with("acquisition: no samples for 3 s     3.0 s"));
+        let rests = line(Permission::AwaitRest, StopReason::NoCommands as u8);
+        assert!(rests.starts_with("ARM RESTS  acquisition: no samples for 3 s  "), "{rests}");
+        let stopped = line(Permission::Stopped, StopReason::Ordered as u8);
+        assert!(stopped.starts_with("ARM STOPPED (stopped by order)"), "{stopped}");
+        assert!(stopped.contains("acquisition: no samples for 3 s"), "{stopped}");
+        assert!(
+            line_of(None, standstill).starts_with("acquisition: no samples for 3 s  waiting for the arm")
+        );
     }
 }

@@ -1,11 +1,12 @@
 //! The files that `tendon run` is asked to write.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tendon_figures::{FigureError, latency_figure, zones_figure};
 use tendon_output::{OutputError, OutputErrors, OutputFile, OutputFolder, check_distinct, collect};
 use tendon_report::{Report, SessionMeasurements, write_latency_log};
+use tendon_session::Writer;
 use tendon_zones::TaskRun;
 
 use crate::Failure;
@@ -20,7 +21,7 @@ pub struct SessionOutputs {
 }
 
 impl SessionOutputs {
-    /// Checks that everything can be written.
+    /// Checks that everything can be written, and that no output replaces another or one of `inputs`.
     ///
     /// # Errors
     ///
@@ -29,17 +30,20 @@ impl SessionOutputs {
         json: Option<&Path>,
         latency_log: Option<&Path>,
         figures: Option<&Path>,
+        inputs: &[PathBuf],
     ) -> Result<SessionOutputs, Failure> {
         let outputs = SessionOutputs {
             json: checked(json)?,
             latency_log: checked(latency_log)?,
             figures: figures.map(OutputFolder::check).transpose().map_err(Failure::input)?,
         };
-        check_distinct(outputs.json.iter().chain(&outputs.latency_log)).map_err(Failure::input)?;
+        let files = outputs.json.iter().chain(&outputs.latency_log);
+        check_distinct(files, &outputs.figures, inputs.iter().map(PathBuf::as_path))
+            .map_err(Failure::input)?;
         Ok(outputs)
     }
 
-    /// Writes all files, whatever becomes of the others.
+    /// Writes all files, whatever becomes of the others. Without anything to draw, that is said instead.
     ///
     /// # Errors
     ///
@@ -49,6 +53,7 @@ impl SessionOutputs {
         report: &Report,
         measurements: &SessionMeasurements,
         task: Option<&TaskRun>,
+        standard_error: &Writer,
     ) -> Result<(), OutputErrors> {
         let json = self.json.iter().map(|file| file.write_json(report));
         let length = Duration::from_secs_f64(report.duration_s);
@@ -56,7 +61,15 @@ impl SessionOutputs {
             .latency_log
             .iter()
             .map(|file| file.write(|mut out| write_latency_log(measurements, length, &mut out)));
-        let figures = self.figures.iter().flat_map(|folder| write_figures(folder, measurements, task));
+        let has_commands = !measurements.newest_sample_to_command.is_empty();
+        if let (Some(folder), false) = (&self.figures, has_commands) {
+            standard_error.say(format!(
+                "tendon: {}: there is nothing to draw, because the session gave no command",
+                folder.path().display()
+            ));
+        }
+        let drawn = self.figures.iter().filter(|_| has_commands);
+        let figures = drawn.flat_map(|folder| write_figures(folder, measurements, task));
         collect(json.chain(log).chain(figures))
     }
 }

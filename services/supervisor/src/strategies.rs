@@ -2,23 +2,25 @@
 //! runs live, but without its processes.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{anyhow, ensure};
 use clap::Args;
 use serde::Serialize;
+use tendon_classifier::TrainedOn;
 use tendon_config::Config;
 use tendon_dataset::{Recording, list};
 use tendon_evaluation::{
     StrategyModels, StrategyScores, chosen_people, dataset_settings, score_strategy, with_trials,
 };
 use tendon_gesture::{DecisionSettings, Strategy};
-use tendon_output::collect;
+use tendon_output::{check_distinct, collect};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_provenance::Provenance;
 
 use crate::Failure;
-use crate::output::{checked, print};
+use crate::options::check_keys;
+use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
 
@@ -60,6 +62,48 @@ pub struct Options {
     json: Option<PathBuf>,
 }
 
+/// Keys of the configuration that scores depend on.
+const KEYS: [&str; 7] = [
+    "acquisition.channels",
+    "acquisition.sample_rate_hz",
+    "dsp",
+    "decision.vote_windows",
+    "decision.grip_windows",
+    "decision.grip_interval_s",
+    "decision.speed_mm_per_s",
+];
+
+impl Options {
+    /// The models named, each with its option and the strategies that use it.
+    fn models(&self) -> [(&'static str, &Option<PathBuf>, &'static [Strategy]); 3] {
+        [
+            ("--five-gesture-model", &self.five_gesture_model, &[Strategy::Threshold, Strategy::TwoStage]),
+            ("--rest-move-model", &self.rest_move_model, &[Strategy::TwoStage]),
+            ("--six-class-model", &self.six_class_model, &[Strategy::Direct]),
+        ]
+    }
+
+    /// The files and folders that the command reads.
+    fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let models = self.models().into_iter().filter_map(|(_, model, _)| model.as_ref());
+        self.recordings.iter().chain(models).chain(&self.config).map(PathBuf::as_path)
+    }
+
+    /// Refuses options that have no effect on what is scored.
+    fn check_effects(&self) -> anyhow::Result<()> {
+        check_keys(&self.assignments, "tendon strategies", &KEYS)?;
+        let Some(strategy) = self.strategy else { return Ok(()) };
+        for (option, model, used_by) in self.models() {
+            ensure!(
+                model.is_none() || used_by.contains(&strategy),
+                "{option} has no effect with --strategy {}: leave one of the two out",
+                strategy.name()
+            );
+        }
+        Ok(())
+    }
+}
+
 /// What `--json` writes.
 #[derive(Debug, Serialize)]
 struct AllScores {
@@ -74,16 +118,19 @@ struct AllScores {
 /// Scores the strategies.
 pub fn score(options: &Options) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
+    check_distinct(&json, [], options.inputs()).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
     let mut pipelines = pipelines(options).map_err(Failure::input)?;
     let settings = dataset_settings(pipelines[0].1.settings(), &options.channels);
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let known: BTreeSet<u16> = found.recordings.iter().map(|recording| recording.person).collect();
-    let trained = pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().people_trained()).collect();
+    let data_set = found.layout.data_set();
+    let models = || pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().trained_on());
+    let trained = models().flat_map(|model| model.people_of(data_set)).copied().collect();
     let people = chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
-    let is_trained_on = people.iter().any(|person| trained.contains(person));
+    let scored: Vec<u16> = people.iter().copied().collect();
     let provenance = Provenance {
-        trained_on_person: (!trained.is_empty()).then_some(is_trained_on),
+        trained_on_person: TrainedOn::any_includes(models(), data_set, &scored),
         ..provenance(options, &pipelines, begun).map_err(Failure::running)?
     };
     let recordings: Vec<Recording> =
@@ -113,8 +160,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         all.strategies.insert(name, scores);
     }
     if !all.skipped.is_empty() {
-        text += "left out:\n";
-        all.skipped.iter().for_each(|skipped| text += &format!("  {skipped}\n"));
+        text += &left_out(&all.skipped, "recordings or trials");
     }
     // A closed output does not keep the file from being written, nor the other way round.
     let written = collect(json.iter().map(|file| file.write_json(&all))).map_err(Failure::running);
@@ -164,6 +210,7 @@ fn pipelines(options: &Options) -> anyhow::Result<Vec<(Strategy, Pipeline)>> {
 }
 
 fn configuration(options: &Options) -> anyhow::Result<Config> {
+    options.check_effects()?;
     let mut config = options.config.as_ref().map_or(Ok(Config::default()), |path| Config::read(path))?;
     for assignment in &options.assignments {
         config = config.with(assignment)?;

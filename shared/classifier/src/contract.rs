@@ -25,12 +25,69 @@ pub struct Contract {
     pub input: WindowInput,
     /// Classes in the order of the outputs.
     pub classes: Vec<Class>,
-    /// Numbers of the people whose windows it was trained on, if the model says so.
-    pub people_trained: Vec<u16>,
+    /// Whom it was trained on, if the model says so.
+    pub trained_on: TrainedOn,
     /// Share of the validation windows that it recognised, if the model says so.
     pub validation_accuracy: Option<f64>,
     /// People, counts and recipe, in words, if the model says so.
     pub provenance: Option<String>,
+}
+
+/// Whom a model was trained on. A number alone names nobody: every data set counts its people from 1.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TrainedOn {
+    /// Name of the data set, such as `3DC`; `None` if the model does not say, or its recordings are of no known data set.
+    pub data_set: Option<String>,
+    /// Numbers of the people in that data set; empty if the model does not say.
+    pub people: Vec<u16>,
+}
+
+impl TrainedOn {
+    /// Reads it through `lookup`, which gives the metadata's value for a key.
+    pub(crate) fn read(lookup: impl Fn(&str) -> Option<String>) -> Result<TrainedOn, ContractProblem> {
+        let people = lookup("tendon.people_trained").unwrap_or_default();
+        Ok(TrainedOn {
+            data_set: lookup("tendon.data_set").filter(|name| !name.is_empty()),
+            people: people
+                .split_whitespace()
+                .map(str::parse)
+                .collect::<Result<Vec<u16>, _>>()
+                .map_err(|_| senseless("tendon.people_trained", &people))?,
+        })
+    }
+
+    /// Those of them who may be people of `data_set`: nobody if that is known to be another data set.
+    pub fn people_of(&self, data_set: Option<&str>) -> &[u16] {
+        match (self.data_set.as_deref(), data_set) {
+            (Some(own), Some(other)) if own != other => &[],
+            _ => &self.people,
+        }
+    }
+
+    /// Whether this person of `data_set` is one of them; `None` where that cannot be told.
+    pub fn includes(&self, data_set: Option<&str>, person: u16) -> Option<bool> {
+        let is_known = !self.people.is_empty() && self.data_set.is_some() && data_set.is_some();
+        is_known.then(|| self.people_of(data_set).contains(&person))
+    }
+
+    /// Whether any of `models` was trained on any of `people` of `data_set`; `None` where that cannot be told.
+    pub fn any_includes<'a>(
+        models: impl IntoIterator<Item = &'a TrainedOn>,
+        data_set: Option<&str>,
+        people: &[u16],
+    ) -> Option<bool> {
+        let mut any = Some(false);
+        for model in models {
+            for &person in people {
+                match model.includes(data_set, person) {
+                    Some(true) => return Some(true),
+                    Some(false) => {}
+                    None => any = None,
+                }
+            }
+        }
+        any
+    }
 }
 
 /// What delivers windows to a model: a session, or a data set.
@@ -130,23 +187,29 @@ pub enum ContractProblem {
         found: usize,
     },
     /// An input or output of another shape or type than the metadata say.
-    #[error("the {what} is {found}, not float32 {expected:?} as the metadata say")]
+    #[error("the model's {what} is {found}, but the metadata want {expected}")]
     Shape {
         /// `input` or `output`.
         what: &'static str,
         /// What it is.
         found: String,
-        /// The shape that follows from the metadata.
-        expected: Vec<i64>,
+        /// What follows from the metadata.
+        expected: String,
     },
     /// Outputs that are no probabilities: a softmax is missing.
     #[error(
-        "its outputs are not probabilities (0 to 1, adding up to 1) but {outputs:?}: end the network with a softmax"
+        "its outputs are not probabilities (0 to 1, adding up to 1) but {}: end the network with a softmax",
+        listed(outputs)
     )]
     NoProbabilities {
         /// The outputs for a window of zeros.
         outputs: Vec<f32>,
     },
+}
+
+/// Numbers in words: `0.5, 0.2`.
+fn listed(numbers: &[f32]) -> String {
+    numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
 impl Contract {
@@ -161,7 +224,6 @@ impl Contract {
         if version != CONTRACT_VERSION {
             return Err(ContractProblem::Version { found: version });
         }
-        let people = lookup("tendon.people_trained").unwrap_or_default();
         let accuracy = "tendon.validation_accuracy";
         Ok(Contract {
             channels: count("tendon.channels", &get("tendon.channels")?)?,
@@ -181,11 +243,7 @@ impl Contract {
                 Some(other) => return Err(senseless("tendon.input", other)),
             },
             classes: read_classes(&get("tendon.classes")?)?,
-            people_trained: people
-                .split_whitespace()
-                .map(str::parse)
-                .collect::<Result<Vec<u16>, _>>()
-                .map_err(|_| senseless("tendon.people_trained", &people))?,
+            trained_on: TrainedOn::read(&lookup)?,
             validation_accuracy: lookup(accuracy)
                 .map(|value| number(accuracy, &value, |share| (0.0..=1.0).contains(&share)))
                 .transpose()?,
@@ -296,7 +354,7 @@ mod tests {
     fn a_contract_is_read_and_compared_by_name_of_what_differs() {
         let contract = Contract::read(metadata).unwrap();
         assert_eq!(contract.classes, Gesture::ACTIVE.map(Class::Gesture));
-        assert_eq!((contract.sequence_windows, contract.people_trained.len()), (1, 0));
+        assert_eq!((contract.sequence_windows, contract.trained_on.people.len()), (1, 0));
         let filter = FilterSettings::default();
         let fitting = WindowSource {
             name: "the session",
@@ -339,19 +397,50 @@ mod tests {
         assert_eq!(text[3], "sequence: the model wants 5 windows together, the session has 1 at a time");
     }
 
+    fn trained_on(data_set: Option<&str>, people: &[u16]) -> TrainedOn {
+        TrainedOn { data_set: data_set.map(str::to_owned), people: people.to_vec() }
+    }
+
+    #[test]
+    fn a_person_is_a_number_in_a_data_set_and_what_cannot_be_told_is_not_guessed() {
+        let of_3dc = trained_on(Some("3DC"), &[1, 3]);
+        let of_own = trained_on(None, &[1, 3]);
+        let silent = trained_on(Some("3DC"), &[]);
+        for (model, data_set, person, expected) in [
+            (&of_3dc, Some("3DC"), 1, Some(true)),
+            (&of_3dc, Some("3DC"), 2, Some(false)),
+            (&of_3dc, Some("Ozdemir 2022"), 1, Some(false)),
+            (&of_3dc, None, 1, None),
+            (&of_own, Some("3DC"), 1, None),
+            (&of_own, None, 1, None),
+            (&silent, Some("3DC"), 1, None),
+        ] {
+            assert_eq!(model.includes(data_set, person), expected, "{model:?}, {data_set:?}, {person}");
+        }
+        assert!(of_3dc.people_of(Some("Ozdemir 2022")).is_empty());
+        assert_eq!(of_3dc.people_of(None), [1, 3], "they may be the same");
+        let any = |models: &[&TrainedOn], people: &[u16]| {
+            TrainedOn::any_includes(models.iter().copied(), Some("3DC"), people)
+        };
+        assert_eq!(any(&[&of_own, &of_3dc], &[2, 3]), Some(true));
+        assert_eq!(any(&[&of_3dc, &of_own], &[2]), None);
+        assert_eq!(any(&[&of_3dc], &[2, 4]), Some(false));
+    }
+
     #[test]
     fn what_a_model_may_say_besides_is_read() {
         let contract = Contract::read(|key| match key {
             "tendon.sequence_windows" => Some("5".to_owned()),
             "tendon.classes" => Some("rest,move".to_owned()),
             "tendon.people_trained" => Some("1 3 14".to_owned()),
+            "tendon.data_set" => Some("3DC".to_owned()),
             "tendon.validation_accuracy" => Some("0.9123".to_owned()),
             _ => metadata(key),
         })
         .unwrap();
         assert_eq!(contract.sequence_windows, 5);
         assert_eq!(contract.classes, Class::REST_MOVE);
-        assert_eq!(contract.people_trained, [1, 3, 14]);
+        assert_eq!(contract.trained_on, trained_on(Some("3DC"), &[1, 3, 14]));
         assert_eq!(contract.validation_accuracy, Some(0.9123));
     }
 

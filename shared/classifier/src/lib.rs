@@ -19,12 +19,12 @@ use std::sync::{Mutex, PoisonError};
 use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
-use ort::value::ValueType;
+use ort::value::{TensorElementType, ValueType};
 use tendon_gesture::Class;
 
-pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
+pub use contract::{Contract, ContractProblem, Mismatch, TrainedOn, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
-pub use metadata::people_trained;
+pub use metadata::trained_on;
 pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, default_model_file};
 
 use run::{RunError, Runner};
@@ -113,16 +113,11 @@ impl Classifier {
             path: library.to_owned(),
             reason: error.to_string(),
         })?;
-        if !model.is_file() {
-            return Err(ClassifierError::Model {
-                path: model.to_owned(),
-                reason: "there is no such file".to_owned(),
-            });
-        }
         let model_error = |error: &dyn std::fmt::Display| ClassifierError::Model {
             path: model.to_owned(),
             reason: one_line(&error.to_string()),
         };
+        tendon_input::check(model, tendon_input::LARGEST_MODEL).map_err(|error| model_error(&error))?;
         let contract_error = |problem| ClassifierError::Contract { path: model.to_owned(), problem };
         let session = open_session(&environment, model).map_err(|error| model_error(&error))?;
         let contract = {
@@ -219,17 +214,48 @@ fn names_of_tensors(session: &Session, contract: &Contract) -> Result<(String, S
         return Err(ContractProblem::Count { what: "output", found: session.outputs().len() });
     };
     let check = |what, dtype: &ValueType, expected: Vec<i64>| match dtype {
-        ValueType::Tensor { ty: ort::value::TensorElementType::Float32, shape, .. }
+        ValueType::Tensor { ty: TensorElementType::Float32, shape, .. }
             if shape.len() == expected.len()
                 && shape.iter().zip(&expected).all(|(actual, wanted)| *actual < 0 || actual == wanted) =>
         {
             Ok(())
         }
-        _ => Err(ContractProblem::Shape { what, found: format!("{dtype:?}"), expected }),
+        _ => {
+            let expected = tensor_in_words(TensorElementType::Float32, &expected);
+            Err(ContractProblem::Shape { what, found: in_words(dtype), expected })
+        }
     };
     check("input", input.dtype(), input_shape(contract))?;
     check("output", output.dtype(), vec![1, contract.classes.len() as i64])?;
     Ok((input.name().to_owned(), output.name().to_owned()))
+}
+
+/// What an input or output is, in words.
+fn in_words(dtype: &ValueType) -> String {
+    match dtype {
+        ValueType::Tensor { ty, shape, .. } => tensor_in_words(*ty, shape),
+        ValueType::Sequence(_) => "a sequence of tensors".to_owned(),
+        ValueType::Map { .. } => "a map".to_owned(),
+        ValueType::Optional(_) => "an optional value".to_owned(),
+    }
+}
+
+/// `1 × 4 × 600 float32 numbers`.
+fn tensor_in_words(element: TensorElementType, shape: &[i64]) -> String {
+    let name = match element {
+        TensorElementType::Float16 => "float16".to_owned(),
+        TensorElementType::Float32 => "float32".to_owned(),
+        TensorElementType::Float64 => "float64".to_owned(),
+        TensorElementType::Int32 => "int32".to_owned(),
+        TensorElementType::Int64 => "int64".to_owned(),
+        other => other.to_string().to_ascii_lowercase(),
+    };
+    let lengths: Vec<String> =
+        shape.iter().map(|&length| if length < 0 { "any".to_owned() } else { length.to_string() }).collect();
+    match lengths.as_slice() {
+        [] => format!("a single {name} number"),
+        lengths => format!("{} {name} numbers", lengths.join(" × ")),
+    }
 }
 
 /// Shape of the input tensor: `[1, channels, samples]`, or `[1, windows, channels, samples]` of a model of sequences.
@@ -247,6 +273,13 @@ fn one_line(message: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_shape_is_told_in_words() {
+        let words = |shape: &[i64]| tensor_in_words(TensorElementType::Float64, shape);
+        assert_eq!(words(&[1, 4, -1]), "1 × 4 × any float64 numbers");
+        assert_eq!(words(&[]), "a single float64 number");
+    }
 
     #[test]
     fn outputs_are_probabilities_or_the_model_is_refused() {

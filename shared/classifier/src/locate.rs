@@ -1,5 +1,6 @@
 //! Where the runtime library and the models that come with Tendon are.
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::ClassifierError;
@@ -13,14 +14,17 @@ const FETCHED_LIBRARY: &str = ".cache/onnxruntime/libonnxruntime.so";
 /// # Errors
 ///
 /// [`ClassifierError::NoRuntimeLibrary`], or [`ClassifierError::RuntimeLibrary`] if the configured library
-/// does not exist.
+/// is not there or no file that can be read.
 pub fn runtime_library(configured: Option<&Path>) -> Result<PathBuf, ClassifierError> {
     let from_environment = || std::env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty());
     if let Some(named) = configured.map(Path::to_owned).or_else(|| from_environment().map(PathBuf::from)) {
-        return if named.is_file() {
-            Ok(named)
-        } else {
-            Err(ClassifierError::RuntimeLibrary { path: named, reason: "there is no such file".to_owned() })
+        return match tendon_input::open(&named) {
+            Ok(_) => Ok(named),
+            Err(error) => {
+                let is_missing = error.kind() == ErrorKind::NotFound;
+                let reason = if is_missing { "there is no such file".to_owned() } else { error.to_string() };
+                Err(ClassifierError::RuntimeLibrary { path: named, reason })
+            }
         };
     }
     find_above_program("libonnxruntime.so")

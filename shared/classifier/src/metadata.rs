@@ -6,18 +6,20 @@
 use std::io;
 use std::path::Path;
 
+use crate::TrainedOn;
+
 /// Field of the metadata in a `ModelProto`.
 const METADATA: u64 = 14;
 
-/// Numbers of the people whom the model in this file was trained on; empty if it does not say so.
+/// Whom the model in this file was trained on, as far as it says.
 ///
 /// # Errors
 ///
 /// When the file cannot be read.
-pub fn people_trained(model: &Path) -> io::Result<Vec<u16>> {
-    let content = std::fs::read(model)?;
-    let people = metadata(&content, "tendon.people_trained").unwrap_or_default();
-    Ok(people.split_whitespace().filter_map(|number| number.parse().ok()).collect())
+pub fn trained_on(model: &Path) -> io::Result<TrainedOn> {
+    let content = tendon_input::read(model, tendon_input::LARGEST_MODEL)?;
+    // Numbers that are none make the model unusable: whoever loads it says so.
+    Ok(TrainedOn::read(|key| metadata(&content, key)).unwrap_or_default())
 }
 
 /// The metadata's value for `key`.
@@ -88,7 +90,8 @@ mod tests {
     fn the_models_that_come_with_tendon_say_whom_they_were_trained_on() {
         let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
         for model in ["cnn-five-gesture.onnx", "cnn-six-class.onnx", "cnn-rest-move.onnx"] {
-            let people = people_trained(&models.join(model)).unwrap();
+            let TrainedOn { data_set, people } = trained_on(&models.join(model)).unwrap();
+            assert_eq!(data_set.as_deref(), Some("3DC"), "{model}");
             assert_eq!(people, [1, 3, 4, 5, 6, 7, 9, 11, 12, 13, 14, 15], "{model}");
         }
     }

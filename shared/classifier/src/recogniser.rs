@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use tendon_gesture::{Class, Gesture, Strategy};
 
 use crate::locate::model_beside_program;
-use crate::{Classifier, ClassifierError, WindowSource};
+use crate::{Classifier, ClassifierError, TrainedOn, WindowSource};
 
 /// File name of the model that comes with Tendon to recognise gestures by `strategy`.
 pub const fn default_model_file(strategy: Strategy) -> &'static str {
@@ -139,10 +139,10 @@ impl Recogniser {
         rest_move.chain([self.gestures.path()]).collect()
     }
 
-    /// Numbers of the people the models were trained on, as far as their metadata say.
-    pub fn people_trained(&self) -> Vec<u16> {
+    /// Whom each model was trained on, as far as its metadata say.
+    pub fn trained_on(&self) -> impl Iterator<Item = &TrainedOn> {
         let rest_move = self.rest_move.iter().map(|rest_move| &rest_move.classifier);
-        rest_move.chain([&self.gestures]).flat_map(|model| model.contract().people_trained.clone()).collect()
+        rest_move.chain([&self.gestures]).map(|model| &model.contract().trained_on)
     }
 
     /// The probability of every gesture by class number, 0 for those that the model does not know. With two

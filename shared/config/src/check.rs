@@ -46,7 +46,21 @@ impl Config {
         if self.robot.backend == Backend::XArm {
             self.robot.arm.check_for_real_arm().map_err(section("robot.arm"))?;
         }
+        self.check_speed()?;
         self.task.check().map_err(section("task"))
+    }
+
+    /// Refuses a speed that the arm would not keep.
+    fn check_speed(&self) -> Result<(), ConfigError> {
+        let (speed, limit) = (self.decision.speed_mm_per_s, self.robot.arm.linear_speed_limit_mm_per_s);
+        if speed > limit {
+            let remedy = format!(
+                "the arm goes no faster than robot.arm.linear_speed_limit_mm_per_s = {limit}: take a lower speed, or \
+                 raise the limit"
+            );
+            return refuse("decision.speed_mm_per_s", speed, remedy);
+        }
+        Ok(())
     }
 
     /// Refuses paths that no `tendon.toml` can hold.
@@ -245,6 +259,19 @@ mod tests {
         config.check().unwrap();
         config.acquisition.block_samples = 201;
         assert!(refusal(&config).contains("block_samples = 201") && refusal(&config).contains("at most 200"));
+    }
+
+    #[test]
+    fn a_speed_beyond_the_arms_limit_is_refused_with_both() {
+        let mut config = Config::default();
+        config.decision.speed_mm_per_s = 100.0;
+        config.check().unwrap();
+        config.decision.speed_mm_per_s = 101.0;
+        let refused = refusal(&config);
+        for part in ["decision.speed_mm_per_s = 101", "linear_speed_limit_mm_per_s = 100", "raise the limit"]
+        {
+            assert!(refused.contains(part), "{refused}");
+        }
     }
 
     #[test]

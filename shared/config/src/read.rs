@@ -11,7 +11,7 @@ impl Config {
     ///
     /// [`ConfigError`], naming file, line and key.
     pub fn read(path: &Path) -> Result<Config, ConfigError> {
-        let text = std::fs::read_to_string(path)
+        let text = tendon_input::read_text(path, tendon_input::LARGEST_SETTINGS)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let mut config = Config::parse(&text, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));

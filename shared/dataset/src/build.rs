@@ -15,7 +15,7 @@ use tendon_signal::DesignError;
 use crate::cut::{Outcome, trials};
 use crate::files::{LABELS, MANIFEST, PEOPLE, RECORDINGS, REPETITIONS, SPLITS, STARTS, WINDOWS};
 use crate::journal::{self, Earlier, Finished, Journal, JournalError};
-use crate::listing::{ListingError, Recordings, list};
+use crate::listing::{Layout, ListingError, Recordings, list};
 use crate::manifest::{Content, Manifest};
 use crate::ordered;
 use crate::recording::Recording;
@@ -90,6 +90,12 @@ pub enum DatasetError {
         path: PathBuf,
         /// What the system says.
         reason: io::Error,
+    },
+    /// Something else than a file lies where one of the data set is to be written.
+    #[error("{} is no regular file: remove it, or choose another folder", .path.display())]
+    NotAFile {
+        /// What lies there.
+        path: PathBuf,
     },
     /// The manifest cannot be written.
     #[error(transparent)]
@@ -203,6 +209,7 @@ enum Step {
 /// The data set being written.
 struct Builder<'a> {
     settings: &'a DatasetSettings,
+    layout: Layout,
     out_dir: &'a Path,
     journal: Journal,
     windows: NpyWriter<f32>,
@@ -226,6 +233,7 @@ impl<'a> Builder<'a> {
         out_dir: &'a Path,
     ) -> Result<(Builder<'a>, bool), DatasetError> {
         fs::create_dir_all(out_dir).map_err(write_error(out_dir))?;
+        check_targets(out_dir)?;
         let (mut journal, earlier) =
             Journal::open(out_dir, settings, &found.recordings).map_err(|error| match error {
                 JournalError::InUse => DatasetError::InUse { out_dir: out_dir.to_owned() },
@@ -253,6 +261,7 @@ impl<'a> Builder<'a> {
         journal.keep_recordings(whole).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
         let mut builder = Builder {
             settings,
+            layout: found.layout,
             out_dir,
             journal,
             windows,
@@ -311,7 +320,7 @@ impl<'a> Builder<'a> {
     }
 
     fn finish(self, building: &BuildSettings) -> Result<Manifest, DatasetError> {
-        let Builder { settings, out_dir, journal, windows, recordings, skipped, notices, .. } = self;
+        let Builder { settings, layout, out_dir, journal, windows, recordings, skipped, notices, .. } = self;
         let count = windows.rows();
         if count == 0 {
             let first_reason = match skipped.first() {
@@ -331,7 +340,7 @@ impl<'a> Builder<'a> {
         let mut stored = MappedArray::open(&windows_path, 2)
             .map_err(|error| write_error(&windows_path)(io::Error::other(error)))?;
         let statistics = split::statistics(&mut stored, &splits, &recordings);
-        let content = Content { windows: count, recordings, skipped, notices };
+        let content = Content { layout, windows: count, recordings, skipped, notices };
         let manifest = Manifest {
             provenance: building.provenance.clone(),
             ..Manifest::of(settings, content, split, statistics)
@@ -340,6 +349,18 @@ impl<'a> Builder<'a> {
         OutputFile::check(&manifest_path).and_then(|file| file.write_json(&manifest))?;
         journal.remove(out_dir).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
         Ok(manifest)
+    }
+}
+
+/// Refuses a folder in which something else than a file lies where one of the data set is to be: opening a pipe, for
+/// instance, would wait forever.
+fn check_targets(out_dir: &Path) -> Result<(), DatasetError> {
+    let names =
+        [journal::FILE_NAME, WINDOWS, LABELS, PEOPLE, REPETITIONS, RECORDINGS, STARTS, SPLITS, MANIFEST];
+    let is_other = |path: &PathBuf| path.metadata().is_ok_and(|metadata| !metadata.is_file());
+    match names.map(|name| out_dir.join(name)).into_iter().find(is_other) {
+        Some(path) => Err(DatasetError::NotAFile { path }),
+        None => Ok(()),
     }
 }
 

@@ -9,7 +9,7 @@
 //! `windows.npy` match their checksum. Everything after it is rebuilt.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
@@ -94,15 +94,14 @@ impl Journal {
         recordings: &[Recording],
     ) -> Result<(Journal, Earlier), JournalError> {
         let path = folder.join(FILE_NAME);
-        let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
+        let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(JournalError::InUse),
             Err(TryLockError::Error(error)) => return Err(error.into()),
         }
         let plan = plan(settings, recordings)?;
-        let mut text = Vec::new();
-        file.read_to_end(&mut text)?;
+        let text = tendon_input::read_file(&file, tendon_input::LARGEST_LIST)?;
         let mut lines = text.split_inclusive(|&byte| byte == b'\n');
         let found = lines.next();
         let mut journal = Journal { file };
@@ -118,9 +117,8 @@ impl Journal {
 
     /// Forgets all but the first `recordings` recordings.
     pub(crate) fn keep_recordings(&mut self, recordings: usize) -> io::Result<()> {
-        let mut text = Vec::new();
         self.file.seek(SeekFrom::Start(0))?;
-        self.file.read_to_end(&mut text)?;
+        let text = tendon_input::read_file(&self.file, tendon_input::LARGEST_LIST)?;
         let kept: usize =
             text.split_inclusive(|&byte| byte == b'\n').take(1 + recordings).map(<[u8]>::len).sum();
         self.keep(kept as u64)

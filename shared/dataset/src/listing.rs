@@ -29,6 +29,18 @@ pub enum Layout {
     Labelled,
 }
 
+impl Layout {
+    /// The data set that the layout belongs to, in which its people have their numbers; `None` for your own recordings,
+    /// whose numbers mean nothing elsewhere.
+    pub fn data_set(self) -> Option<&'static str> {
+        match self {
+            Layout::ThreeDc => Some(three_dc::DATA_SET),
+            Layout::OzdemirMat | Layout::OzdemirTrials => Some(ozdemir::DATA_SET),
+            Layout::Labelled => None,
+        }
+    }
+}
+
 impl fmt::Display for Layout {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(match self {
@@ -149,11 +161,12 @@ impl Found {
         }
         // Texts of other kinds, such as a README.txt, lie beside recordings.
         let is_three_dc = three_dc::parse_file_name(path).is_some();
-        let is_text = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
+        let is_text =
+            !is_given && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
         if is_three_dc {
             self.skip(path, "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG");
         } else if is_table(path) && !is_text {
-            self.skip(path, "its name is not P<person>_C<cycle>_G<gesture>.csv, and no labels.csv names it");
+            self.skip(path, &unlabelled(path));
         }
         Ok(0)
     }
@@ -171,6 +184,19 @@ impl Found {
     fn skip(&mut self, path: &Path, reason: &str) {
         self.skipped.push(SkippedEntry { path: path.to_owned(), reason: reason.to_owned() });
     }
+}
+
+/// What to do with a table of which nothing says what it shows.
+fn unlabelled(table: &Path) -> String {
+    let labels = table.with_file_name(labels::FILE_NAME);
+    if labels.is_file() {
+        return format!("give its folder, so that {} says what it shows", labels.display());
+    }
+    format!(
+        "its name is not P<person>_C<cycle>_G<gesture>.csv, and no labels.csv names it: write one beside it, with the \
+         header {} and a line for each trial, and give the folder",
+        labels::COLUMNS.join(",")
+    )
 }
 
 fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> ListingError + '_ {

@@ -7,6 +7,7 @@ use tendon_gesture::Gesture;
 use tendon_provenance::Provenance;
 use tendon_recordings::SkippedEntry;
 
+use crate::listing::Layout;
 use crate::settings::DatasetSettings;
 use crate::split::{SplitEntry, TrainingStatistics};
 use crate::trial::{OnsetStatistics, RecordingEntry};
@@ -16,6 +17,9 @@ use crate::trial::{OnsetStatistics, RecordingEntry};
 pub struct Manifest {
     /// The settings it was made with.
     pub settings: DatasetSettings,
+    /// Name of the data set that the recordings are of, such as `3DC`; `null` for recordings of your own.
+    #[serde(default)]
+    pub data_set: Option<String>,
     /// Windows in all.
     pub windows: u64,
     /// Windows of each gesture, by name.
@@ -43,6 +47,7 @@ pub struct Manifest {
 
 /// What the builder knows of a data set when its windows are written.
 pub(crate) struct Content {
+    pub(crate) layout: Layout,
     pub(crate) windows: u64,
     pub(crate) recordings: Vec<RecordingEntry>,
     pub(crate) skipped: Vec<SkippedEntry>,
@@ -56,7 +61,7 @@ impl Manifest {
         split: SplitEntry,
         training_statistics: TrainingStatistics,
     ) -> Manifest {
-        let Content { windows, recordings, skipped, notices } = content;
+        let Content { windows, recordings, skipped, notices, .. } = content;
         let mut windows_per_gesture = BTreeMap::new();
         let mut windows_per_person = BTreeMap::new();
         for entry in &recordings {
@@ -70,6 +75,7 @@ impl Manifest {
         let total = ("total".to_owned(), OnsetStatistics::of(recordings.iter()));
         Manifest {
             settings: settings.clone(),
+            data_set: content.layout.data_set().map(str::to_owned),
             windows,
             windows_per_gesture,
             windows_per_person,

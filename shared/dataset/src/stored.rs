@@ -33,7 +33,7 @@ pub enum StoredDatasetProblem {
     #[error("{0}")]
     Array(NpyError),
     /// Windows of another shape.
-    #[error("has windows of {found:?}, the manifest says {expected:?}")]
+    #[error("has windows of {}, the manifest says {}", product(found), product(expected))]
     Shape {
         /// Channels and samples of the windows.
         found: Vec<usize>,
@@ -69,6 +69,11 @@ pub enum StoredDatasetProblem {
     Scattered,
 }
 
+/// `4 × 600`, channels by samples.
+fn product(shape: &[usize]) -> String {
+    shape.iter().map(ToString::to_string).collect::<Vec<_>>().join(" × ")
+}
+
 /// Windows, whose they are and what they show, mapped into memory.
 #[derive(Debug)]
 pub struct StoredDataset {
@@ -82,9 +87,9 @@ pub struct StoredDataset {
 }
 
 impl StoredDataset {
-    /// Whether `folder` holds a complete data set.
+    /// Whether `folder` has the manifest of a data set, which only a complete one has.
     pub fn is_one(folder: &Path) -> bool {
-        folder.join(MANIFEST).is_file()
+        folder.join(MANIFEST).exists()
     }
 
     /// Opens the data set in `folder`. Only a complete one has its manifest.
@@ -94,7 +99,7 @@ impl StoredDataset {
     /// others.
     pub fn open(folder: &Path) -> Result<StoredDataset, StoredDatasetError> {
         let wrong = |name, problem| StoredDatasetError { path: folder.join(name), problem };
-        let text = std::fs::read_to_string(folder.join(MANIFEST))
+        let text = tendon_input::read_text(&folder.join(MANIFEST), tendon_input::LARGEST_LIST)
             .map_err(|error| wrong(MANIFEST, StoredDatasetProblem::ManifestMissing(error)))?;
         let manifest: Manifest = serde_json::from_str(&text)
             .map_err(|error| wrong(MANIFEST, StoredDatasetProblem::Manifest(error)))?;

@@ -33,6 +33,8 @@ pub struct Scores {
     pub paths: Vec<String>,
     /// Who was scored.
     pub people: BTreeSet<u16>,
+    /// The data set in which they have these numbers, such as `3DC`; `None` for recordings of your own.
+    pub data_set: Option<String>,
     /// What the model's training got on its validation windows, if the model says so.
     pub validation_accuracy: Option<f64>,
     /// Recordings that could not be used, and why.
@@ -119,8 +121,9 @@ pub fn score_dataset(
     };
     classifier.check_fit(&source).map_err(ScoreError::Model)?;
     let known = dataset.manifest().windows_per_person.keys().copied().collect();
-    let people = chosen_people(&known, wanted, &people_trained(&classifier))?;
-    let mut scorer = Scorer::new(classifier, people);
+    let data_set = dataset.manifest().data_set.clone();
+    let people = chosen_people(&known, wanted, &people_trained(&classifier, data_set.as_deref()))?;
+    let mut scorer = Scorer::new(classifier, people, data_set);
     let windows = dataset.len();
     for index in 0..windows {
         if index % WINDOWS_A_ROUND == 0 {
@@ -167,11 +170,12 @@ pub fn score_recordings(
     classifier.check_fit(&source).map_err(ScoreError::Model)?;
     let found = list(&settings, paths)?;
     let known = found.recordings.iter().map(|recording| recording.person).collect();
-    let people = chosen_people(&known, wanted, &people_trained(&classifier))?;
+    let data_set = found.layout.data_set();
+    let people = chosen_people(&known, wanted, &people_trained(&classifier, data_set))?;
     let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
     let recordings: Vec<Recording> =
         found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
-    let mut scorer = Scorer::new(classifier, people);
+    let mut scorer = Scorer::new(classifier, people, data_set.map(str::to_owned));
     let mut samples = 0;
     let mut trials_before = 0;
     for (index, recording) in recordings.iter().enumerate() {
@@ -204,8 +208,9 @@ fn settings_of(contract: &Contract, channels: &[usize]) -> DatasetSettings {
     }
 }
 
-fn people_trained(classifier: &Classifier) -> BTreeSet<u16> {
-    classifier.contract().people_trained.iter().copied().collect()
+/// Numbers of the people of `data_set` whom the model was, or may have been, trained on.
+fn people_trained(classifier: &Classifier, data_set: Option<&str>) -> BTreeSet<u16> {
+    classifier.contract().trained_on.people_of(data_set).iter().copied().collect()
 }
 
 /// A window to be scored.
@@ -223,17 +228,18 @@ struct Window<'a> {
 struct Scorer {
     classifier: Classifier,
     people: BTreeSet<u16>,
+    data_set: Option<String>,
     tally: Tally,
     sequence: Sequence,
     start: Instant,
 }
 
 impl Scorer {
-    fn new(classifier: Classifier, people: BTreeSet<u16>) -> Scorer {
+    fn new(classifier: Classifier, people: BTreeSet<u16>, data_set: Option<String>) -> Scorer {
         let Contract { channels, window_samples, sequence_windows, ref classes, .. } = *classifier.contract();
         let tally = Tally::new(classes);
         let sequence = Sequence::new(sequence_windows, channels * window_samples);
-        Scorer { sequence, classifier, people, tally, start: Instant::now() }
+        Scorer { sequence, classifier, people, data_set, tally, start: Instant::now() }
     }
 
     fn take(&mut self, window: &Window<'_>) -> Result<(), ClassifierError> {
@@ -298,6 +304,7 @@ impl Scorer {
             model: self.classifier.path().display().to_string(),
             paths: paths.iter().map(|path| path.display().to_string()).collect(),
             people: self.people,
+            data_set: self.data_set,
             validation_accuracy: self.classifier.contract().validation_accuracy,
             skipped,
             duration_s,

@@ -11,23 +11,28 @@
 //! waits for every subscriber, so an observer must read or not subscribe.
 #![forbid(unsafe_code)]
 
+use std::time::{Duration, Instant};
+
 use tendon_messages::{
     MEASUREMENTS, Measurement, MeasurementHeader, STATE_LENGTH, STATES, StateHeader, Topic, Traced,
 };
 use tendon_report::SessionMeasurements;
 use tendon_transport::{
-    Delivery, Element, Leftovers, ReceiveError, Session, SessionError, SessionName, Subscriber, own_user,
+    Delivery, Element, FindError, Leftovers, ReceiveError, Session, SessionError, SessionName, Subscriber,
+    own_user, shared_memory_directory,
 };
+
+/// How long a supervisor may take from claiming a session to opening its first topics.
+const START_PATIENCE: Duration = Duration::from_secs(2);
+/// Time between two looks for them.
+const START_LOOK: Duration = Duration::from_millis(20);
 
 /// Why a session cannot be observed.
 #[derive(Debug, thiserror::Error)]
 pub enum ObserverError {
     /// There is no such session.
-    #[error("no session `{session}` is running: start it with `tendon run`, or name another with --session")]
-    NotRunning {
-        /// Session name.
-        session: SessionName,
-    },
+    #[error(transparent)]
+    Find(#[from] FindError),
     /// The session runs, but nobody has opened the topic yet.
     #[error("session `{session}` has no topic `{topic}` yet: it is still starting, try again in a moment")]
     NoTopic {
@@ -35,6 +40,16 @@ pub enum ObserverError {
         session: SessionName,
         /// Topic name.
         topic: &'static str,
+    },
+    /// The session runs, but what its processes reach each other through is gone.
+    #[error(
+        "session `{session}` runs, but its files in {} or its run-time folder are gone: somebody deleted them. End it and \
+         start it again",
+        shared_memory_directory().display()
+    )]
+    FilesGone {
+        /// Session name.
+        session: SessionName,
     },
     /// The session cannot be joined.
     #[error(transparent)]
@@ -74,15 +89,31 @@ impl Observer {
     ///
     /// # Errors
     ///
-    /// [`ObserverError::NotRunning`] when there is no such session; else what keeps the observer out of it.
+    /// [`FindError::NotRunning`] when there is no such session; [`ObserverError::FilesGone`] when it runs, but its
+    /// files were deleted; else what keeps the observer out of it.
     pub fn join(name: &SessionName, program: &str) -> Result<Observer, ObserverError> {
         if !is_running(name) {
-            return Err(ObserverError::NotRunning { session: name.clone() });
+            return Err(FindError::NotRunning { session: name.clone() }.into());
         }
         let session = Session::join(name, program)?;
-        let measurements = observe(&session, &MEASUREMENTS)?;
-        let states = observe(&session, &STATES)?;
-        Ok(Observer::new(session, measurements, states))
+        let begun = Instant::now();
+        loop {
+            // The supervisor opens both at once, before it starts the stages.
+            match observe(&session, &MEASUREMENTS).and_then(|first| Ok((first, observe(&session, &STATES)?)))
+            {
+                Ok((measurements, states)) => return Ok(Observer::new(session, measurements, states)),
+                Err(ObserverError::NoTopic { .. }) if begun.elapsed() < START_PATIENCE => {
+                    std::thread::sleep(START_LOOK);
+                }
+                Err(ObserverError::NoTopic { session, .. }) if is_running(&session) => {
+                    return Err(ObserverError::FilesGone { session });
+                }
+                Err(ObserverError::NoTopic { session, .. }) => {
+                    return Err(FindError::NotRunning { session }.into());
+                }
+                Err(error) => return Err(error),
+            }
+        }
     }
 
     /// Joins a session before its stages do, as the program that starts them, and so misses nothing.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Write};
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
@@ -17,6 +17,9 @@ use nix::unistd::{Uid, UnlinkatFlags, User, geteuid, unlinkat};
 const SOCKET_NAME_LENGTH: usize = 79;
 /// Longest path of a Unix socket (unix(7)).
 const MAXIMUM_SOCKET_PATH: usize = 107;
+
+/// Largest file that is read, in bytes: state is small, and what is larger is none of ours.
+const LARGEST_FILE: u64 = 1 << 20;
 
 /// Why a folder or a file in it cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -138,9 +141,8 @@ impl PrivateFolder {
             Err(PathError::System { source, .. }) if source.kind() == ErrorKind::NotFound => return Ok(None),
             opened => opened?,
         };
-        let mut bytes = Vec::new();
-        (&file).read_to_end(&mut bytes).map_err(|error| PathError::system(&path, error))?;
-        Ok(Some(bytes))
+        let bytes = tendon_input::read_file(&file, LARGEST_FILE);
+        bytes.map(Some).map_err(|error| PathError::system(&path, error))
     }
 
     /// Replaces what the file `name` holds. After a crash it holds either all of the old bytes or all of the new ones.
@@ -340,6 +342,9 @@ mod tests {
         folder.write("arm", b"new").unwrap();
         assert_eq!(std::fs::read(&victim).unwrap(), b"precious");
         assert_eq!(folder.read("arm").unwrap().unwrap(), b"new");
+        File::create(folder.path().join("huge")).unwrap().set_len(1 << 40).unwrap();
+        set_mode(&folder.path().join("huge"), 0o600);
+        assert!(matches!(folder.read("huge"), Err(PathError::System { .. })), "it is not read into memory");
         set_mode(&folder.path().join("arm"), 0o666);
         assert!(matches!(folder.read("arm"), Err(PathError::Writable { .. })));
         nix::unistd::mkfifo(&folder.path().join("pipe"), Mode::S_IRWXU).unwrap();

@@ -20,8 +20,8 @@ use nix::sys::socket::{
     ControlMessageOwned, MsgFlags, UnixAddr, UnixCredentials, recvmsg, sendto, setsockopt, sockopt,
 };
 use tendon_gesture::Gesture;
-use tendon_paths::{claimed_names, user_name};
-use tendon_transport::{SessionName, own_user};
+use tendon_paths::claimed_names;
+use tendon_transport::{FindError, SessionName, find_owner, own_user};
 
 /// What a stage is told to do, one line of text each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,25 +79,9 @@ const ARM_ANSWER_TIMEOUT: Duration = Duration::from_secs(13);
 /// Why an order did not arrive.
 #[derive(Debug, thiserror::Error)]
 pub enum OrderError {
-    /// Nobody listens.
-    #[error("no session `{0}` is running here: `tendon run` starts one, --session NAME names another")]
-    NoSession(SessionName),
-    /// Somebody else's session.
-    #[error("session `{session}` belongs to {owner}: only {owner} and root can give it orders")]
-    OtherOwner {
-        /// Session name.
-        session: SessionName,
-        /// Name of the user who runs it.
-        owner: String,
-    },
-    /// Several users run a session of that name.
-    #[error("several users run a session `{session}`: choose one with --user: {users}")]
-    Ambiguous {
-        /// Session name.
-        session: SessionName,
-        /// Names of the users.
-        users: String,
-    },
+    /// There is no such session, or it cannot be reached.
+    #[error(transparent)]
+    Find(#[from] FindError),
     /// The robot process is there but does not answer.
     #[error(
         "the robot of session `{0}` does not answer: use the arm's emergency stop button. A robot process that \
@@ -221,31 +205,14 @@ impl AsFd for OrderSocket {
     }
 }
 
-/// Whose session of this name an order goes to: `user`'s, else one's own, else, for root, that of the one user who runs
-/// one.
-fn addressee(session: &SessionName, user: Option<u32>) -> Result<u32, OrderError> {
-    let listens =
-        |user: u32| claimed_names(&listening_name(user, session)).contains(&listening_name(user, session));
-    if let Some(user) = user {
-        return if listens(user) { Ok(user) } else { Err(OrderError::NoSession(session.clone())) };
-    }
-    if listens(own_user()) {
-        return Ok(own_user());
-    }
+/// Whose session of this name an order goes to, of those whose robot process listens.
+fn addressee(session: &SessionName, wanted: Option<u32>) -> Result<u32, FindError> {
     let ending = format!(".{session}.orders");
-    let users: Vec<u32> = claimed_names("tendon.")
+    let listening: Vec<u32> = claimed_names("tendon.")
         .iter()
         .filter_map(|name| name.strip_prefix("tendon.")?.strip_suffix(&ending)?.parse().ok())
         .collect();
-    match users[..] {
-        [] => Err(OrderError::NoSession(session.clone())),
-        [user] if own_user() == 0 => Ok(user),
-        [user] => Err(OrderError::OtherOwner { session: session.clone(), owner: user_name(user) }),
-        _ => {
-            let users: Vec<String> = users.into_iter().map(user_name).collect();
-            Err(OrderError::Ambiguous { session: session.clone(), users: users.join(", ") })
-        }
-    }
+    find_owner(session, &listening, wanted)
 }
 
 /// Gives the robot of a session an order and returns its answer. The session is that of `user`, if given; else one's own,
@@ -253,7 +220,7 @@ fn addressee(session: &SessionName, user: Option<u32>) -> Result<u32, OrderError
 ///
 /// # Errors
 ///
-/// [`OrderError`] when nobody listens or answers.
+/// [`OrderError`] when there is no such session, or nobody answers.
 pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Result<String, OrderError> {
     let user = addressee(session, user)?;
     let failed = |source: std::io::Error| OrderError::Socket { session: session.clone(), source };
@@ -265,7 +232,7 @@ pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Re
     let mut own = Socket::new(socket).map_err(failed)?;
     match own.send(&order.line(), &to) {
         Ok(_) => {}
-        Err(Errno::ECONNREFUSED) => return Err(OrderError::NoSession(session.clone())),
+        Err(Errno::ECONNREFUSED) => return Err(FindError::NotRunning { session: session.clone() }.into()),
         // Its queue is full of orders that it does not take.
         Err(Errno::EAGAIN) => return Err(OrderError::NoAnswer(session.clone())),
         Err(error) => return Err(system(error)),
@@ -309,7 +276,7 @@ mod tests {
     #[test]
     fn an_order_by_socket_is_answered_and_nobody_is_no_session() {
         let session: SessionName = format!("orders-{}", std::process::id()).parse().unwrap();
-        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoSession(_))));
+        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::Find(_))));
         let mut robot = OrderSocket::open(&session).unwrap();
         let asked = {
             let session = session.clone();
@@ -331,7 +298,7 @@ mod tests {
         }
         assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoAnswer(_))));
         drop(robot);
-        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoSession(_))));
+        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::Find(_))));
     }
 
     fn address(session: &SessionName) -> UnixAddr {

@@ -1,6 +1,6 @@
 //! SHA-256 of models and recordings.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -104,7 +104,7 @@ fn list_files(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), ProvenanceErr
 /// SHA-256 and length of a file.
 fn file_sha256(path: &Path) -> Result<(String, u64), ProvenanceError> {
     let read = || -> io::Result<(String, u64)> {
-        let mut file = File::open(path)?;
+        let mut file = tendon_input::open(path)?;
         let mut hash = Sha256::new();
         let mut piece = vec![0; PIECE];
         let mut length = 0;

@@ -30,7 +30,7 @@ pub enum RecordingError {
         path: PathBuf,
     },
     /// A repetition that the folder does not hold.
-    #[error("{} has no repetition {repetition}: choose among {available:?}", .folder.display())]
+    #[error("{} has no repetition {repetition}: choose among {}", .folder.display(), listed(available))]
     NoSuchRepetition {
         /// The EMG folder.
         folder: PathBuf,
@@ -105,6 +105,11 @@ pub enum RecordingError {
     /// Settings from which no filter or window can be made.
     #[error(transparent)]
     Design(#[from] DesignError),
+}
+
+/// `0, 1, 2`.
+fn listed(numbers: &[u32]) -> String {
+    numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
 impl RecordingError {

@@ -24,7 +24,8 @@ pub use problem::{LabelsError, LabelsProblem};
 /// Name of the file.
 pub const FILE_NAME: &str = "labels.csv";
 
-const COLUMNS: [&str; 7] =
+/// Its columns.
+pub const COLUMNS: [&str; 7] =
     ["file", "person", "session", "repetition", "gesture", "start_sample", "end_sample"];
 /// Of these, those that must be there.
 const REQUIRED: [&str; 4] = ["file", "person", "repetition", "gesture"];
@@ -77,7 +78,8 @@ struct Labels {
 pub fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<LabelledFile>, LabelsError> {
     let path = folder.join(FILE_NAME);
     let wrong = |line: u64, problem| LabelsError { path: path.clone(), line, problem };
-    let text = fs::read(&path).map_err(|error| wrong(1, LabelsProblem::Read(error)))?;
+    let text = tendon_input::read(&path, tendon_input::LARGEST_LIST)
+        .map_err(|error| wrong(1, LabelsProblem::Read(error)))?;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .flexible(true)

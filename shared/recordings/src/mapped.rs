@@ -1,6 +1,5 @@
 //! A file as bytes in memory that the system loads as they are read, and unloads again.
 
-use std::fs::File;
 use std::io;
 use std::path::Path;
 
@@ -21,7 +20,7 @@ impl MappedFile {
     /// Maps the file at `path`.
     #[expect(unsafe_code, reason = "a memory map can be changed from outside")]
     pub(crate) fn open(path: &Path) -> io::Result<MappedFile> {
-        let file = File::open(path)?;
+        let file = tendon_input::open(path)?;
         // SAFETY: the bytes are only ever read, and as bytes, for which every value is valid. Should another
         // process write to the file, the parser sees some old and some new bytes, each of which it checks
         // for itself: at worst it reports a broken line.

@@ -20,6 +20,9 @@ use crate::segment::Segment;
 use crate::source::RecordingSource;
 use crate::table::Channel;
 
+/// Name of the data set, in which its people have their numbers.
+pub const DATA_SET: &str = "Ozdemir 2022";
+
 /// Sampling rate of recordings that do not tell it, in Hz.
 pub const SAMPLE_RATE_HZ: f64 = 2000.0;
 
@@ -106,7 +109,7 @@ pub fn open(
 }
 
 fn open_mat(path: &Path) -> Result<MatFile<File>, RecordingError> {
-    let file = File::open(path).map_err(RecordingError::open(path))?;
+    let file = tendon_input::open(path).map_err(RecordingError::open(path))?;
     MatFile::open(file).map_err(RecordingError::mat(path))
 }
 

@@ -257,7 +257,7 @@ fn segments(
         return folder_segments(path, settings.repetition, notices);
     }
     if !metadata.is_file() {
-        return Err(RecordingError::UnknownLayout { path: path.to_owned() });
+        tendon_input::open(path).map_err(RecordingError::open(path))?;
     }
     if settings.repetition.is_some() {
         return Err(RecordingError::RepetitionOfFile { file: path.to_owned() });

@@ -15,6 +15,9 @@ use tendon_gesture::Gesture;
 
 use crate::error::RecordingError;
 
+/// Name of the data set, in which its people have their numbers.
+pub const DATA_SET: &str = "3DC";
+
 /// Sampling rate of all 3DC recordings, in Hz.
 pub const SAMPLE_RATE_HZ: f64 = 1000.0;
 

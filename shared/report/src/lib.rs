@@ -18,7 +18,7 @@ mod table;
 pub use log::write_latency_log;
 pub use measurements::{Counts, SessionMeasurements, Summary, duration_histogram};
 pub use report::{
-    GestureRecognition, Hop, LatencySummary, MessageCounts, Recognition, Report, SessionFacts,
-    WindowStartSummary, Work,
+    GestureRecognition, Hop, LatencySummary, MessageCounts, Outcome, Recognition, Report, SessionEvent,
+    SessionFacts, WindowStartSummary, Work,
 };
 pub use table::running_table;

@@ -70,9 +70,40 @@ pub struct Report {
     pub memory_mb: BTreeMap<String, f64>,
     /// Where the arm ended, mm in its base frame.
     pub final_position_mm: [f64; 3],
+    /// How the session ended.
+    #[serde(default)]
+    pub outcome: Outcome,
+    /// Why it broke off or did not start; `null` otherwise.
+    #[serde(default)]
+    pub error: Option<String>,
+    /// What was unusual, in the order in which it happened.
+    #[serde(default)]
+    pub events: Vec<SessionEvent>,
     /// Program, machine, settings, models and recording.
     #[serde(default)]
     pub provenance: Provenance,
+}
+
+/// How a session ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// It ran until its time or its recording was over, or somebody ended it.
+    #[default]
+    Completed,
+    /// It ran, and something ended it before its time.
+    BrokeOff,
+    /// It ended before all stages were ready: nothing was measured.
+    NotStarted,
+}
+
+/// Something unusual in a session: a stage that hung or was started again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionEvent {
+    /// When, s after samples began to flow.
+    pub at_s: f64,
+    /// What happened, as it was said on the terminal.
+    pub text: String,
 }
 
 /// What a session knows of itself beside what its stages measured.
@@ -104,6 +135,12 @@ pub struct SessionFacts {
     pub memory_mb: BTreeMap<String, f64>,
     /// Where the arm ended, mm in its base frame.
     pub final_position_mm: [f64; 3],
+    /// How the session ended.
+    pub outcome: Outcome,
+    /// Why it broke off or did not start.
+    pub error: Option<String>,
+    /// What was unusual, in the order in which it happened.
+    pub events: Vec<SessionEvent>,
     /// Program, machine, settings, models and recording.
     pub provenance: Provenance,
 }
@@ -319,6 +356,9 @@ impl Report {
             cpu_s: facts.cpu_s,
             memory_mb: facts.memory_mb,
             final_position_mm: facts.final_position_mm,
+            outcome: facts.outcome,
+            error: facts.error,
+            events: facts.events,
             provenance: facts.provenance,
         }
     }
@@ -383,6 +423,9 @@ mod tests {
             "cpu_s",
             "memory_mb",
             "final_position_mm",
+            "outcome",
+            "error",
+            "events",
             "provenance",
         ];
         for key in all {

@@ -148,8 +148,17 @@ struct Running {
     stage: Stage,
     process: Child,
     orders: ChildStdin,
-    /// Passes on what it writes to standard error.
-    relay: JoinHandle<()>,
+    /// Passes on what it writes to standard error; gives the last line of it.
+    relay: JoinHandle<String>,
+}
+
+/// How a stage ended.
+#[derive(Debug)]
+pub struct StageEnd {
+    /// Its exit status.
+    pub status: ExitStatus,
+    /// The last line that it wrote to standard error; empty if it wrote none.
+    pub last_words: String,
 }
 
 impl Running {
@@ -276,18 +285,21 @@ impl Children {
     }
 
     /// Passes on what a stage writes to standard error, in a thread: the stage never waits for a terminal.
-    fn relay(&self, stage: Stage, errors: ChildStderr) -> std::io::Result<JoinHandle<()>> {
+    fn relay(&self, stage: Stage, errors: ChildStderr) -> std::io::Result<JoinHandle<String>> {
         let (standard_error, is_quiet) = (self.standard_error.clone(), self.is_quiet.clone());
         std::thread::Builder::new().name(format!("errors {}", stage.name())).spawn(move || {
             let mut errors = BufReader::new(errors);
             let mut line = Vec::new();
+            let mut last_words = String::new();
             while errors.by_ref().take(MAXIMUM_LINE_LENGTH).read_until(b'\n', &mut line).is_ok_and(|n| n > 0)
             {
+                last_words = String::from_utf8_lossy(&line).trim_end().to_owned();
                 if !is_quiet.load(Ordering::Relaxed) {
-                    standard_error.say(String::from_utf8_lossy(&line).trim_end());
+                    standard_error.say(last_words.clone());
                 }
                 line.clear();
             }
+            last_words
         })
     }
 
@@ -324,7 +336,7 @@ impl Children {
     /// # Errors
     ///
     /// [`ChildrenError::Reap`] when the system refuses.
-    pub fn reap(&mut self, stage: Stage) -> Result<Option<ExitStatus>, ChildrenError> {
+    pub fn reap(&mut self, stage: Stage) -> Result<Option<StageEnd>, ChildrenError> {
         let Some(position) = self.running.iter().position(|running| running.stage == stage) else {
             return Ok(None);
         };
@@ -338,7 +350,8 @@ impl Children {
             self.robot.loop_turned();
             std::thread::sleep(Duration::from_millis(1));
         }
-        Ok(Some(status))
+        let last_words = if running.relay.is_finished() { running.relay.join().ok() } else { None };
+        Ok(Some(StageEnd { status, last_words: last_words.unwrap_or_default() }))
     }
 
     /// Stops all stages, the robot first, and kills those that do not stop. Returns the names of those that

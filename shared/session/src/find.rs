@@ -4,27 +4,14 @@ use std::ffi::CString;
 
 use nix::unistd::{Gid, Uid, User, initgroups, setgid, setuid};
 use tendon_paths::user_name;
-use tendon_transport::{SessionName, own_user, running_sessions};
+use tendon_transport::{FindError, SessionName, find_owner, own_user, running_sessions};
 
-/// Why there is no session to look at.
+/// Why this process cannot look at a session.
 #[derive(Debug, thiserror::Error)]
-pub enum FindError {
-    /// Somebody else's session.
-    #[error("session `{session}` belongs to {owner}: only {owner} and root can look at it")]
-    OtherOwner {
-        /// Session name.
-        session: SessionName,
-        /// Name of the user who runs it.
-        owner: String,
-    },
-    /// Several users run a session of that name.
-    #[error("several users run a session `{session}`: choose one with --user: {users}")]
-    Ambiguous {
-        /// Session name.
-        session: SessionName,
-        /// Names of the users.
-        users: String,
-    },
+pub enum BecomeOwnerError {
+    /// There is no such session, or it cannot be reached.
+    #[error(transparent)]
+    Find(#[from] FindError),
     /// Root cannot act for the user.
     #[error("cannot act for {owner}")]
     Become {
@@ -35,31 +22,20 @@ pub enum FindError {
     },
 }
 
-/// Lets root look at a user's session: unless root or nobody runs one of this name, this process goes on as the user who
-/// does, for good. So it trusts nothing that the user made with rights that the user does not have.
+/// Lets root look at a user's session: unless it is root's own, this process goes on as the user who runs it, for good.
+/// So it trusts nothing that the user made with rights that the user does not have.
 ///
 /// # Errors
 ///
-/// [`FindError`] when the session is somebody else's, or several users run one of this name and `user` is not given.
-pub fn become_owner(session: &SessionName, user: Option<u32>) -> Result<(), FindError> {
-    let own = own_user();
-    if user.unwrap_or(own) == own && session.supervisor(own).is_some() {
+/// [`BecomeOwnerError`] when no session of this name can be reached: nobody's, or not that of `wanted`, if given.
+pub fn become_owner(session: &SessionName, wanted: Option<u32>) -> Result<(), BecomeOwnerError> {
+    let running = running_sessions().into_iter().filter(|(_, name)| name == session);
+    let users: Vec<u32> = running.map(|(owner, _)| owner).collect();
+    let owner = find_owner(session, &users, wanted)?;
+    if owner == own_user() {
         return Ok(());
     }
-    let running = running_sessions().into_iter().filter(|(_, name)| name == session);
-    let users: Vec<u32> =
-        running.map(|(owner, _)| owner).filter(|owner| user.is_none_or(|user| user == *owner)).collect();
-    match users[..] {
-        [] => Ok(()),
-        [owner] if own == 0 => {
-            become_user(owner).map_err(|source| FindError::Become { owner: user_name(owner), source })
-        }
-        [owner] => Err(FindError::OtherOwner { session: session.clone(), owner: user_name(owner) }),
-        _ => {
-            let users: Vec<String> = users.into_iter().map(user_name).collect();
-            Err(FindError::Ambiguous { session: session.clone(), users: users.join(", ") })
-        }
-    }
+    become_user(owner).map_err(|source| BecomeOwnerError::Become { owner: user_name(owner), source })
 }
 
 fn become_user(user: u32) -> nix::Result<()> {

@@ -20,7 +20,7 @@ mod watch;
 mod writer;
 
 pub use children::{ChildrenError, Event, check_source_program};
-pub use find::{FindError, become_owner};
+pub use find::{BecomeOwnerError, become_owner};
 pub use keys::{Keyboard, KeyboardError, stop_on_signals};
 pub use robot_line::RobotLine;
 pub use watch::{SessionFailure, Turn, Usage, Watch};

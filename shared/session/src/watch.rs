@@ -7,6 +7,7 @@
 //! ```
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
@@ -16,9 +17,10 @@ use tendon_gesture::Strategy;
 use tendon_messages::{ArmPhase, Stage};
 use tendon_observer::{Observer, State};
 use tendon_process::{Order, Ready};
-use tendon_transport::{Delivery, Leftovers, ReceiveError};
+use tendon_report::SessionEvent;
+use tendon_transport::{Delivery, Leftovers, ReceiveError, SharedFiles, shared_memory_directory};
 
-use crate::children::{Children, ChildrenError, Event};
+use crate::children::{Children, ChildrenError, Event, StageEnd};
 use crate::progress::ProgressWatch;
 use crate::resources;
 use crate::robot_line::RobotLine;
@@ -38,6 +40,8 @@ const RESTART_TRIAL: Duration = Duration::from_secs(2);
 const LAST_OF_RECORDING: Duration = Duration::from_secs(1);
 /// Time between two looks for observers that were killed: each keeps one of the eight seats of a topic.
 const DEAD_OBSERVERS_INTERVAL: Duration = Duration::from_secs(5);
+/// Time between two looks at the session's files.
+const FILES_INTERVAL: Duration = Duration::from_secs(1);
 
 /// What ends a session before its time.
 #[derive(Debug, thiserror::Error)]
@@ -59,6 +63,19 @@ pub enum SessionFailure {
         status: ExitStatus,
         /// Whether it did so before all were ready.
         at_start: bool,
+        /// The last line that it wrote to standard error, which the terminal has shown; empty if it wrote none.
+        last_words: String,
+    },
+    /// Files without which the stages do not reach each other are gone.
+    #[error(
+        "the session's files in {} were deleted while it ran ({} is gone): its stages no longer reach each other, so it \
+         is stopped. Start it again, and keep {0}/tendon.* from whatever cleans up there",
+        shared_memory_directory().display(),
+        file.display()
+    )]
+    FileDeleted {
+        /// One of them.
+        file: PathBuf,
     },
     /// Stages had to be killed at the end.
     #[error("{names} did not stop and had to be killed")]
@@ -82,6 +99,22 @@ impl SessionFailure {
             _ => false,
         }
     }
+
+    /// The reason as a report says it: with what a stage that ended had said of it itself.
+    pub fn reason(&self) -> String {
+        match self {
+            SessionFailure::StageEnded { last_words, .. } if !last_words.is_empty() => {
+                format!("{last_words}; {self}")
+            }
+            _ => with_causes(self),
+        }
+    }
+}
+
+/// An error and what led to it, in one line.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
 }
 
 /// Whether a session goes on.
@@ -123,6 +156,10 @@ pub struct Watch<'a> {
     standard_error: Writer,
     progress: ProgressWatch,
     looked_for_dead: Instant,
+    files: SharedFiles,
+    /// `None` before the first time.
+    looked_at_files: Option<Instant>,
+    events_so_far: Vec<SessionEvent>,
     /// In the order in which they happened.
     restarts: Vec<Restart>,
     ready: BTreeMap<Stage, Ready>,
@@ -158,6 +195,9 @@ impl<'a> Watch<'a> {
             standard_error: standard_error.clone(),
             progress: ProgressWatch::default(),
             looked_for_dead: Instant::now(),
+            files: SharedFiles::of(&config.session),
+            looked_at_files: None,
+            events_so_far: Vec::new(),
             restarts: Vec::new(),
             ready: BTreeMap::new(),
             began: None,
@@ -186,6 +226,7 @@ impl<'a> Watch<'a> {
                 Err(_) => {}
             }
             self.observer.gather(|_| ())?;
+            self.look_at_files()?;
             let missing = Stage::ALL.into_iter().filter(|stage| !self.ready.contains_key(stage));
             let missing: Vec<&str> = missing.map(Stage::name).collect();
             if begun.elapsed() > timeout {
@@ -203,6 +244,9 @@ impl<'a> Watch<'a> {
         for stage in Stage::ALL {
             self.children.order(stage, Order::Start);
         }
+        // All files are there now, those that are deleted in the next moment among them.
+        self.looked_at_files = None;
+        self.look_at_files()?;
         self.began = Some(Instant::now());
         Ok(Turn::GoesOn)
     }
@@ -224,6 +268,7 @@ impl<'a> Watch<'a> {
         }
         self.observer.gather(on_state)?;
         self.look_at_progress();
+        self.look_at_files()?;
         if self.looked_for_dead.elapsed() > DEAD_OBSERVERS_INTERVAL {
             self.looked_for_dead = Instant::now();
             Leftovers::remove_of_the_dead(&self.config.session);
@@ -296,6 +341,16 @@ impl<'a> Watch<'a> {
         self.restarts.len() as u64
     }
 
+    /// What was unusual so far.
+    pub fn events(&self) -> &[SessionEvent] {
+        &self.events_so_far
+    }
+
+    /// Which stage makes no progress now, in words.
+    pub fn standstill(&self) -> Option<String> {
+        self.progress.standstill(Instant::now())
+    }
+
     /// Gives an order to a stage.
     pub fn order(&mut self, stage: Stage, order: Order) {
         self.children.order(stage, order);
@@ -319,14 +374,13 @@ impl<'a> Watch<'a> {
 
     /// A stage ended that is not started again: a fault, unless somebody said stop.
     fn ended(&mut self, stage: Stage, at_start: bool) -> Result<Turn, SessionFailure> {
-        let status = self.children.reap(stage)?;
-        match status {
-            Some(status) if !self.robot.is_ending() => {
+        match self.children.reap(stage)? {
+            Some(StageEnd { status, last_words }) if !self.robot.is_ending() => {
                 if at_start {
                     // The others are only being stopped, and must not give reasons of their own.
                     self.children.keep_quiet();
                 }
-                Err(SessionFailure::StageEnded { stage, status, at_start })
+                Err(SessionFailure::StageEnded { stage, status, at_start, last_words })
             }
             _ => Ok(Turn::Over),
         }
@@ -345,16 +399,15 @@ impl<'a> Watch<'a> {
             return self.ended(stage, false).map(drop);
         }
         let used_s = self.children.process_id(stage).and_then(resources::cpu_s);
-        let status = self.children.reap(stage)?;
-        let status = status.map_or(String::new(), |status| format!(" ({status})"));
+        let status = self.children.reap(stage)?.map_or(String::new(), |end| format!(" ({})", end.status));
         let rest = match (stage, self.config.decision.strategy) {
             (Stage::Dsp, Strategy::Threshold) => {
                 format!("{} s of rest, on which it calibrates", self.config.dsp.activity.calibration_s)
             }
             _ => "a rest".to_owned(),
         };
-        self.standard_error.say(format!(
-            "tendon: {} ended{status} and is started again: the arm moves after `tendon arm` (key a) and {rest}",
+        self.note(format!(
+            "{} ended{status} and is started again: the arm moves after `tendon arm` (key a) and {rest}",
             stage.name()
         ));
         Leftovers::remove_of_the_dead(&self.config.session);
@@ -395,14 +448,52 @@ impl<'a> Watch<'a> {
         }
         let is_starting =
             |stage| self.restarts.iter().any(|restart| restart.stage == stage && restart.ready.is_none());
-        for stage in Stage::ALL {
-            let Some(upstream) = stage.upstream().filter(|_| !is_starting(stage)) else { continue };
-            let measurements = self.observer.measurements();
+        let measurements = self.observer.measurements();
+        let mut notices = Vec::new();
+        for stage in Stage::ALL.into_iter().filter(|stage| !is_starting(*stage)) {
             let counts = measurements.counts(stage);
-            let (taken, published) = (counts.received + counts.lost, measurements.counts(upstream).published);
-            if let Some(notice) = self.progress.observe(Instant::now(), stage, taken, published) {
-                self.standard_error.say(format!("tendon: {notice}"));
-            }
+            let (done, waiting) = match stage.upstream() {
+                Some(upstream) => {
+                    let taken = counts.received + counts.lost;
+                    (taken, measurements.counts(upstream).published.saturating_sub(taken))
+                }
+                None => (counts.published, u64::from(self.is_sample_due())),
+            };
+            notices.extend(self.progress.observe(Instant::now(), stage, done, waiting));
         }
+        for notice in notices {
+            self.note(notice.to_string());
+        }
+    }
+
+    /// Whether the source owes samples: it has not come to its end, and does not wait for dsp either, as in a lossless
+    /// session.
+    fn is_sample_due(&self) -> bool {
+        let measurements = self.observer.measurements();
+        let dsp = measurements.counts(Stage::Dsp);
+        let published = measurements.counts(Stage::Acquisition).published;
+        !measurements.has_finished() && dsp.received + dsp.lost >= published
+    }
+
+    /// Looks once a second whether the files are there through which the stages reach each other.
+    fn look_at_files(&mut self) -> Result<(), SessionFailure> {
+        if self.looked_at_files.is_some_and(|looked| looked.elapsed() < FILES_INTERVAL) {
+            return Ok(());
+        }
+        self.looked_at_files = Some(Instant::now());
+        if let Some(folder) = self.files.deleted_run_time_folder() {
+            self.note(format!(
+                "{} was deleted while the session ran: it goes on, but nobody can join it any more, and a stage that ends \
+                 cannot be started again. End the session and start it anew",
+                folder.display()
+            ));
+        }
+        self.files.deleted().map_or(Ok(()), |file| Err(SessionFailure::FileDeleted { file }))
+    }
+
+    /// Tells the user of something unusual, and keeps it for the report.
+    fn note(&mut self, text: String) {
+        self.standard_error.say(format!("tendon: {text}"));
+        self.events_so_far.push(SessionEvent { at_s: self.elapsed().as_secs_f64(), text });
     }
 }

@@ -15,15 +15,19 @@
 //! * Everything lives under a [`SessionName`], so that two sessions on one machine never meet.
 
 mod clock;
+mod find;
 mod publisher;
 mod session;
+mod shared_files;
 mod subscriber;
 mod wake;
 
 pub use clock::now_ns;
+pub use find::{FindError, find_owner};
 pub use publisher::{Element, Loan, PublishError, Publisher};
 pub use session::{
     Delivery, InvalidSessionName, Leftovers, Removed, Session, SessionError, SessionLock, SessionLockError,
     SessionName, own_user, required_bytes, running_sessions, shared_memory_directory,
 };
+pub use shared_files::SharedFiles;
 pub use subscriber::{ReceiveError, Received, Subscriber};

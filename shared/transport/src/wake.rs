@@ -37,12 +37,17 @@ use nix::fcntl::posix_fallocate;
 use nix::sys::stat::Mode;
 use nix::unistd::mkfifo;
 
-use crate::session::{MAXIMUM_SUBSCRIBERS, Session, SessionError};
+use crate::session::{MAXIMUM_SUBSCRIBERS, Session, SessionError, SessionName};
 
 /// Size of the page of seats, in bytes.
 const PAGE_SIZE: i64 = (MAXIMUM_SUBSCRIBERS * size_of::<AtomicU64>()) as i64;
 /// Bytes read from a FIFO at a time. What is left keeps it readable.
 const READ_SIZE: usize = 1024;
+
+/// Where the page of seats of a topic lies. It stays until the end of the session.
+pub(crate) fn page_path(session: &SessionName, topic: &str) -> PathBuf {
+    session.shared_memory_file(&format!("wake-{topic}"))
+}
 
 /// Who is to be woken by the messages of a topic: one page of memory shared by its publishers and subscribers.
 #[derive(Debug)]
@@ -54,7 +59,7 @@ struct Seats {
 
 impl Seats {
     fn open(session: &Session, topic: &'static str) -> Result<Seats, SessionError> {
-        let path = session.name().shared_memory_file(&format!("wake-{topic}"));
+        let path = page_path(session.name(), topic);
         Seats::open_page(&path)
             .map(|page| Seats { page, path: path.clone() })
             .map_err(|source| SessionError::Wake { topic, path, source })
@@ -256,7 +261,6 @@ impl Waker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::SessionName;
     use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
     const TOPIC: &str = "blocks";

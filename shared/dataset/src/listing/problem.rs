@@ -77,7 +77,8 @@ pub enum ListingError {
     },
     /// Tables with labels, whose sampling rate was not given.
     #[error(
-        "the files named in {} do not state their sampling rate: give --recording-rate-hz, e.g. 2000",
+        "the files named in {} do not state their sampling rate: give it to `tendon dataset build` with \
+         --recording-rate-hz, e.g. 2000; other commands take the data set",
         .labels.display()
     )]
     NoRate {

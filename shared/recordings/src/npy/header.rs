@@ -34,7 +34,7 @@ pub enum NpyError {
         expected: usize,
     },
     /// More or fewer data than the header promises.
-    #[error("{bytes} bytes of data do not make an array {shape:?}: is it complete?")]
+    #[error("{bytes} bytes of data do not make an array of {}: is it complete?", product(shape))]
     Incomplete {
         /// Bytes after the header.
         bytes: usize,
@@ -44,6 +44,11 @@ pub enum NpyError {
     /// The data begin where no value of their type can.
     #[error("its data are not aligned to their type: save it with NumPy")]
     Unaligned,
+}
+
+/// `100 × 4`.
+fn product(shape: &[usize]) -> String {
+    shape.iter().map(ToString::to_string).collect::<Vec<_>>().join(" × ")
 }
 
 /// What stands before the data.
