@@ -347,6 +347,15 @@ fn a_file_beyond_its_bound() {
 }
 
 #[test]
+fn a_recording_of_any_size_without_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("emg.csv");
+    File::create(&path).unwrap().set_len(1 << 40).unwrap();
+    let arguments = ["--replay", path.to_str().unwrap(), "--replay-rate-hz", "1000"];
+    assert_refused(&arguments, &["emg.csv, line 1", "binary or non-UTF-8"]);
+}
+
+#[test]
 fn a_file_that_may_not_be_read() {
     if nix::unistd::geteuid().is_root() {
         // Root may read it.

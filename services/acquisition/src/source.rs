@@ -14,6 +14,9 @@ use tendon_transport::Delivery;
 /// Gestures in a random sequence before it begins again.
 const RANDOM_GESTURES: usize = 1000;
 
+/// How many notices about a recording are shown one by one: a folder may lack many files.
+const NOTICES_SHOWN: usize = 3;
+
 /// Opens the source that the settings name, and says what to tell the user. A recording is read through once, so that
 /// a bad one is refused before anything moves.
 pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
@@ -93,10 +96,14 @@ struct Recording(ReplayStream);
 impl Recording {
     fn open(settings: &AcquisitionSettings) -> anyhow::Result<(Recording, String)> {
         let (summary, stream) = settings.open_recording()?;
-        for notice in &summary.notices {
+        let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
+        for notice in summary.notices.iter().take(NOTICES_SHOWN) {
             tracing::warn!("{notice}");
         }
-        let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
+        if summary.notices.len() > NOTICES_SHOWN {
+            let rest = summary.notices.len() - NOTICES_SHOWN;
+            tracing::warn!("and {rest} more such notices about {}", path.display());
+        }
         let columns = summary.channels.join(", ");
         if settings.replay.channels.is_none() && !tendon_recordings::three_dc::is_three_dc(path) {
             tracing::warn!(

@@ -21,6 +21,10 @@ pub fn of_session(config: &Config) -> anyhow::Result<Provenance> {
     let replay = &config.acquisition.replay;
     let recording = replay.path.clone().into_iter().filter(|_| config.acquisition.source == Source::Replay);
     let recording: Vec<_> = recording.collect();
+    if !recording.is_empty() {
+        // Before all of it is read for its hash.
+        config.acquisition.check_recording()?;
+    }
     let person = recording.first().and_then(|path| person(path));
     let trained_on_person =
         person.and_then(|(data_set, person)| TrainedOn::any_includes(&trained, Some(data_set), &[person]));

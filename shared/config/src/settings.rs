@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
-use tendon_recordings::{Channel, RecordingError, RecordingSettings, ReplayStream, Summary};
+use tendon_recordings::{Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary};
 use tendon_signal::SignalSettings;
 use tendon_transport::{Delivery, SessionName};
 use tendon_zones::TaskSettings;
@@ -406,6 +406,17 @@ impl AcquisitionSettings {
         Ok((emg, profile.source))
     }
 
+    /// Refuses what cannot be the recording to replay by a look at its beginning, however large it is.
+    ///
+    /// # Errors
+    ///
+    /// As [`AcquisitionSettings::open_recording`].
+    pub fn check_recording(&self) -> Result<(), ConfigError> {
+        let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
+        let recording = self.replay.recording(self.channels);
+        RecordingSource::open(path, &recording).map(drop).map_err(recording_error)
+    }
+
     /// Opens the recording to replay, once it has been read through, so that a bad one is refused before anything moves.
     ///
     /// # Errors
@@ -414,12 +425,17 @@ impl AcquisitionSettings {
     pub fn open_recording(&self) -> Result<(Summary, ReplayStream), ConfigError> {
         let recording = self.replay.recording(self.channels);
         let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
-        let summary = tendon_recordings::check(path, &recording).map_err(|error| match error {
-            RecordingError::SampleRateMissing { file } => ConfigError::SampleRateMissing { path: file },
-            error => ConfigError::Recording(error),
-        })?;
+        let summary = tendon_recordings::check(path, &recording).map_err(recording_error)?;
         let stream = ReplayStream::open(path, &recording, self.sample_rate_hz, self.block_samples)?;
         Ok((summary, stream))
+    }
+}
+
+/// What is wrong with a recording, in the words of a session.
+fn recording_error(error: RecordingError) -> ConfigError {
+    match error {
+        RecordingError::SampleRateMissing { file } => ConfigError::SampleRateMissing { path: file },
+        error => ConfigError::Recording(error),
     }
 }
 

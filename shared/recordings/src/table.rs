@@ -27,6 +27,9 @@ use cells::{Cells, Line, Separator, excerpt, is_missing_sample, is_text, line_at
 use channel::places;
 use problem::error_at;
 
+/// Longest first line, in bytes. What has no newline for so long is no table, and a file may be very large.
+const LONGEST_FIRST_LINE: usize = 1 << 20;
+
 /// How a text table is laid out, which of its columns are wanted, and how far it has been read.
 #[derive(Clone, Debug)]
 pub struct Table {
@@ -49,8 +52,11 @@ impl Table {
     /// When there is no first line of numbers or names, or a chosen channel is not there, each with its place.
     pub fn open(text: &[u8], channels: &[Channel]) -> Result<Table, TableError> {
         let start = first_line_start(text)?;
-        let Some(first) = line_at(text, start) else { return Err(error_at(1, 1, TableProblem::Empty)) };
-        if !is_text(first.content) {
+        let Some(first) = line_at(head(text), start) else {
+            return Err(error_at(1, 1, TableProblem::Empty));
+        };
+        let is_cut_off = !first.terminated && text.len() > LONGEST_FIRST_LINE;
+        if is_cut_off || !is_text(first.content) {
             return Err(error_at(1, 1, TableProblem::NotText));
         }
         let separator = Separator::of_line(first.content);
@@ -195,13 +201,18 @@ impl Table {
     }
 }
 
+/// The beginning of `text`, in which the first line has to end.
+fn head(text: &[u8]) -> &[u8] {
+    &text[..text.len().min(LONGEST_FIRST_LINE)]
+}
+
 /// Where the first line starts, if there is anything to read.
 fn first_line_start(text: &[u8]) -> Result<usize, TableError> {
     let start = text_start(text);
     if text[start..].trim_ascii().is_empty() {
         return Err(error_at(1, 1, TableProblem::Empty));
     }
-    match line_at(text, start) {
+    match line_at(head(text), start) {
         Some(line) if line.content.trim_ascii().is_empty() => Err(error_at(1, 1, TableProblem::BlankLine)),
         _ => Ok(start),
     }
@@ -245,6 +256,13 @@ mod tests {
                 "{text:?}"
             );
         }
+    }
+
+    #[test]
+    fn a_large_file_without_lines_is_no_table() {
+        let zeros = vec![0; LONGEST_FIRST_LINE + 1];
+        assert_fails(&zeros, 1, 1, TableProblem::NotText);
+        assert_fails(vec![b'1'; LONGEST_FIRST_LINE + 1], 1, 1, TableProblem::NotText);
     }
 
     #[test]
