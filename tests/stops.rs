@@ -20,9 +20,11 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tendon_gesture::Gesture;
 use tendon_messages::{Permission, STATES, Stage, StateHeader, StopReason};
-use tendon_system_tests::{Ended, Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until};
+use tendon_system_tests::{
+    EmulatedArm, Ended, Tendon, TendonBuilder, WATCHDOG, model, unique_session, wait_until,
+};
 use tendon_transport::{Delivery, Leftovers, Session, SessionLock, SessionName, Subscriber};
-use tendon_xarm_emulator::{Emulator, Fault, Listen};
+use tendon_xarm_emulator::Fault;
 
 /// How long a stop may take on a machine that runs other tests at the same time.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -36,51 +38,42 @@ const HOLD: &str = "rest 1s, ulnar 60s";
 /// To and fro, with rests.
 const TO_AND_FRO: &str = "rest 1s, ulnar 2s, rest 1s, radial 2s";
 
-/// An emulated arm of a test's own, and the lasting state of who drives it.
-struct EmulatedArm {
-    emulator: Emulator,
+/// An emulated arm, and the lasting state of who drives it.
+struct OwnArm {
+    arm: EmulatedArm,
     state_home: tempfile::TempDir,
 }
 
-impl EmulatedArm {
+impl OwnArm {
     /// One that was left in good order.
-    fn start() -> EmulatedArm {
-        let arm = EmulatedArm::new();
-        let folder = arm.record();
-        std::fs::create_dir_all(folder.parent().unwrap()).unwrap();
-        let joints_rad = arm.model().report().joints_rad.map(f64::from);
-        std::fs::write(folder, format!("{{\"left_in_good_order_at_joints_rad\":{joints_rad:?}}}")).unwrap();
-        arm
+    fn start() -> OwnArm {
+        let own = OwnArm::new();
+        own.arm.leave_in_good_order(own.state_home.path());
+        own
     }
 
     /// One that nobody has driven yet.
-    fn new() -> EmulatedArm {
-        EmulatedArm {
-            emulator: Emulator::start(Listen::anywhere()).unwrap(),
-            state_home: tempfile::tempdir().unwrap(),
-        }
+    fn new() -> OwnArm {
+        OwnArm { arm: EmulatedArm::start(), state_home: tempfile::tempdir().unwrap() }
     }
 
     /// The file that says that it was left in good order.
     fn record(&self) -> PathBuf {
-        let Listen { address, control_port, .. } = self.emulator.listen;
-        let address = address.to_string().replace('.', "-");
-        let serial_number = self.model().properties().serial_number.clone();
-        self.state_home.path().join(format!("tendon/arms/{serial_number}-{address}-{control_port}.json"))
+        self.arm.record(self.state_home.path())
     }
 }
 
-impl Deref for EmulatedArm {
-    type Target = Emulator;
+impl Deref for OwnArm {
+    type Target = EmulatedArm;
 
-    fn deref(&self) -> &Emulator {
-        &self.emulator
+    fn deref(&self) -> &EmulatedArm {
+        &self.arm
     }
 }
 
 /// A session on an emulated arm.
 struct Rig {
-    emulator: EmulatedArm,
+    emulator: OwnArm,
     session: SessionName,
     tendon: Tendon,
     states: Subscriber<StateHeader, f32>,
@@ -89,7 +82,7 @@ struct Rig {
 }
 
 impl Rig {
-    fn builder(emulator: &EmulatedArm, session: &SessionName, script: &str) -> TendonBuilder {
+    fn builder(emulator: &OwnArm, session: &SessionName, script: &str) -> TendonBuilder {
         let listen = emulator.listen;
         let mut builder = TendonBuilder::run_with_model(session, &model("cnn-six-class"));
         builder = builder.env("XDG_STATE_HOME", emulator.state_home.path());
@@ -108,16 +101,16 @@ impl Rig {
     }
 
     fn start(script: &str) -> Rig {
-        Rig::on(EmulatedArm::start(), script)
+        Rig::on(OwnArm::start(), script)
     }
 
-    fn on(emulator: EmulatedArm, script: &str) -> Rig {
+    fn on(emulator: OwnArm, script: &str) -> Rig {
         let session = unique_session();
         let builder = Rig::builder(&emulator, &session, script);
         Rig::of(emulator, session, builder)
     }
 
-    fn of(emulator: EmulatedArm, session: SessionName, builder: TendonBuilder) -> Rig {
+    fn of(emulator: OwnArm, session: SessionName, builder: TendonBuilder) -> Rig {
         let mut tendon = builder.start();
         tendon.wait_until_running();
         let membership = Session::join(&session, "test").unwrap();
@@ -187,7 +180,7 @@ impl Rig {
     }
 
     /// Ends the session in good order; the arm goes on.
-    fn end_session(self) -> (EmulatedArm, Ended) {
+    fn end_session(self) -> (OwnArm, Ended) {
         let Rig { emulator, tendon, states, _membership, .. } = self;
         drop(states);
         drop(_membership);
@@ -339,8 +332,8 @@ fn after_a_session_that_was_killed_the_arm_stays_where_it_is_until_it_is_armed()
 }
 
 /// A session whose arm is on the way to its start position, 14 degrees away.
-fn on_the_way() -> (EmulatedArm, SessionName, Tendon) {
-    let (emulator, session) = (EmulatedArm::start(), unique_session());
+fn on_the_way() -> (OwnArm, SessionName, Tendon) {
+    let (emulator, session) = (OwnArm::start(), unique_session());
     let builder = Rig::builder(&emulator, &session, TO_AND_FRO).args(&[
         "--set",
         "robot.arm.start_joints_deg=[14.0, -15.0, 0.0, 45.0, 0.0, 60.0, 0.0]",
@@ -353,7 +346,7 @@ fn on_the_way() -> (EmulatedArm, SessionName, Tendon) {
 }
 
 /// After a stop on the way to the start: the arm is at rest, and a later session does not move it by itself.
-fn assert_stays_after_the_way(emulator: EmulatedArm, session: &SessionName, mut tendon: Tendon) {
+fn assert_stays_after_the_way(emulator: OwnArm, session: &SessionName, mut tendon: Tendon) {
     let begun = Instant::now();
     while emulator.model().speed_mm_per_s() > 0.0 {
         assert!(begun.elapsed() < PATIENCE, "it goes on");
@@ -400,7 +393,7 @@ fn a_supervisor_that_hangs_on_the_way_to_the_start_stops_the_arm() {
 
 #[test]
 fn a_new_arm_waits_to_be_armed() {
-    let mut rig = Rig::on(EmulatedArm::new(), TO_AND_FRO);
+    let mut rig = Rig::on(OwnArm::new(), TO_AND_FRO);
     rig.wait_for_reason(StopReason::NotLeftInGoodOrder);
     rig.assert_stays_at_rest(Duration::from_secs(2));
     assert!(rig.order("arm").contains("armed"));
@@ -415,6 +408,42 @@ fn an_arm_is_driven_by_one_session_and_the_second_is_refused_by_name() {
     let ended = Rig::builder(&rig.emulator, &session, TO_AND_FRO).end();
     ended.assert_failed(2, &["driven by another session", "held by process"]);
     rig.wait_for_full_speed();
+    rig.end();
+}
+
+#[test]
+fn an_arm_with_two_addresses_is_one_arm() {
+    let address = std::net::Ipv4Addr::UNSPECIFIED.into();
+    let own = OwnArm { arm: EmulatedArm::start_at(address), state_home: tempfile::tempdir().unwrap() };
+    own.arm.leave_in_good_order(own.state_home.path());
+    let session = unique_session();
+    let builder = Rig::builder(&own, &session, TO_AND_FRO);
+    let rig = Rig::of(own, session, builder.args(&["--set", "robot.xarm.address=\"127.0.0.1\""]));
+    rig.wait_for_full_speed();
+    let builder = Rig::builder(&rig.emulator, &unique_session(), TO_AND_FRO);
+    let ended = builder.args(&["--set", "robot.xarm.address=\"127.0.0.2\""]).end();
+    ended.assert_failed(2, &["the arm XI1300", "driven by another session", "held by process"]);
+    rig.wait_for_full_speed();
+    rig.end();
+}
+
+#[test]
+fn a_session_of_somebody_else_in_between_makes_the_arm_wait() {
+    let rig = Rig::start(TO_AND_FRO);
+    rig.wait_for_full_speed();
+    let (own, _) = rig.end_session();
+    assert!(own.record().exists());
+    // The state of another user, of the same arm.
+    let other = OwnArm { state_home: tempfile::tempdir().unwrap(), ..own };
+    let own_state = own.state_home;
+    let mut rig = Rig::on(other, TO_AND_FRO);
+    rig.wait_for_reason(StopReason::NotLeftInGoodOrder);
+    let (other, _) = rig.end_session();
+    let own = OwnArm { state_home: own_state, ..other };
+    assert!(own.record().exists());
+    let mut rig = Rig::on(own, TO_AND_FRO);
+    rig.wait_for_reason(StopReason::NotLeftInGoodOrder);
+    rig.assert_stays_at_rest(Duration::from_secs(2));
     rig.end();
 }
 
@@ -482,7 +511,7 @@ fn the_path_to_the_wire_allocates_nothing_once_warm() {
 
 #[test]
 fn the_space_bar_stops_and_a_arms() {
-    let emulator = EmulatedArm::start();
+    let emulator = OwnArm::start();
     let session = unique_session();
     let terminal = nix::pty::openpty(None, None).unwrap();
     let builder = Rig::builder(&emulator, &session, TO_AND_FRO).controlled_by(terminal.slave);
@@ -533,19 +562,31 @@ fn run_away(script: &str, along_y_mm_per_s: i16, reasons: &[StopReason]) {
 
 #[test]
 fn an_arm_that_is_too_fast_is_stopped() {
-    run_away(TO_AND_FRO, 300, &[StopReason::OverSpeed]);
+    // Whether it is faster than anything may be, or than it was told, is found first depends on the moment.
+    run_away(TO_AND_FRO, 300, &[StopReason::OverSpeed, StopReason::NotFollowing]);
 }
 
 #[test]
 fn an_arm_that_leaves_the_workspace_is_stopped_and_can_be_driven_back() {
-    // Held up by the face, it is commanded to rest there: whichever of the two is found first.
-    let reasons = [StopReason::WorkspaceBox, StopReason::Creeping];
-    run_away("rest 1s, ulnar 5s, rest 1s, radial 5s", 55, &reasons);
+    // Held up by the face, it is commanded to rest there: whichever is found first.
+    let reasons = [StopReason::WorkspaceBox, StopReason::Creeping, StopReason::NotFollowing];
+    run_away("rest 1s, ulnar 15s, rest 1s, radial 15s", 55, &reasons);
 }
 
 #[test]
 fn an_arm_that_creeps_at_commanded_rest_is_stopped() {
-    run_away(TO_AND_FRO, 20, &[StopReason::Creeping]);
+    let mut rig = Rig::start(TO_AND_FRO);
+    rig.wait_for_full_speed();
+    rig.emulator.inject(Fault::Creep(20));
+    assert_eq!(rig.wait_for_reason(StopReason::Creeping).permission, Permission::Stopped as u8);
+    assert!(rig.time_to_rest() < PATIENCE);
+    rig.assert_stays_at_rest(Duration::from_secs(1));
+    rig.end();
+}
+
+#[test]
+fn an_arm_that_does_not_move_as_it_is_told_is_stopped() {
+    run_away("rest 1s, ulnar 4s, rest 1s, radial 4s", 20, &[StopReason::NotFollowing]);
 }
 
 #[test]
@@ -579,7 +620,7 @@ fn the_emergency_stop_button_needs_releasing_and_arming() {
 
 #[test]
 fn the_arm_goes_slowly_to_its_start_position_first() {
-    let emulator = EmulatedArm::start();
+    let emulator = OwnArm::start();
     let session = unique_session();
     let setting = "robot.arm.start_joints_deg=[8.0, -15.0, 0.0, 45.0, 0.0, 60.0, 0.0]";
     let builder = Rig::builder(&emulator, &session, HOLD).args(&["--set", setting]);
@@ -592,7 +633,7 @@ fn the_arm_goes_slowly_to_its_start_position_first() {
 
 #[test]
 fn an_arm_that_is_not_there_is_named_with_what_to_do() {
-    let emulator = EmulatedArm::start();
+    let emulator = OwnArm::start();
     let session = unique_session();
     let builder = Rig::builder(&emulator, &session, HOLD);
     let port = emulator.listen.control_port.to_string();

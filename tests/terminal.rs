@@ -9,7 +9,6 @@
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
-use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -19,10 +18,9 @@ use nix::sys::termios::{FlowArg, tcflow};
 use nix::unistd::Pid;
 use tempfile::TempDir;
 use tendon_system_tests::{
-    TendonBuilder, WATCHDOG, assert_nothing_left, model, program, unique_session, wait_until,
+    EmulatedArm, TendonBuilder, WATCHDOG, assert_nothing_left, model, program, unique_session, wait_until,
 };
 use tendon_transport::SessionName;
-use tendon_xarm_emulator::{Emulator, Listen};
 
 /// How long a stop may take on a machine that runs other tests at the same time.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -31,33 +29,20 @@ const STALL: Duration = Duration::from_millis(500);
 
 /// A session that moves an emulated arm, with streams of the test's choice.
 struct Moving {
-    emulator: Emulator,
+    emulator: EmulatedArm,
     session: SessionName,
     process: Child,
     folder: TempDir,
     _state_home: TempDir,
 }
 
-/// Writes the record with which a session starts to move the arm by itself.
-fn leave_in_good_order(emulator: &Emulator, state_home: &Path) {
-    let Listen { address, control_port, .. } = emulator.listen;
-    let address = address.to_string().replace('.', "-");
-    let model = emulator.model();
-    let serial_number = model.properties().serial_number.clone();
-    let joints_rad = model.report().joints_rad.map(f64::from);
-    let folder = state_home.join("tendon/arms");
-    std::fs::create_dir_all(&folder).unwrap();
-    let record = format!("{{\"left_in_good_order_at_joints_rad\":{joints_rad:?}}}");
-    std::fs::write(folder.join(format!("{serial_number}-{address}-{control_port}.json")), record).unwrap();
-}
-
 impl Moving {
     fn start(prepare: impl FnOnce(&mut Command) -> &mut Command, controlling_terminal: bool) -> Moving {
-        let emulator = Emulator::start(Listen::anywhere()).unwrap();
+        let emulator = EmulatedArm::start();
         let session = unique_session();
         let listen = emulator.listen;
         let state_home = tempfile::tempdir().unwrap();
-        leave_in_good_order(&emulator, state_home.path());
+        emulator.leave_in_good_order(state_home.path());
         let mut builder = TendonBuilder::run_with_model(&session, &model("cnn-six-class"));
         builder = builder.env("XDG_STATE_HOME", state_home.path());
         builder = builder.args(&["--strategy", "direct", "--script", "rest 1s, ulnar 60s"]);

@@ -55,7 +55,8 @@ fn main() -> ExitCode {
                 (Box::new(SimulatedArm::new(config.robot.arm.clone(), start_of_time(delivery))?), None)
             }
             Backend::XArm => {
-                let owned = Owned { records: Records::open()?, _claim: claim(&config.robot.xarm)? };
+                let claims = vec![claim_address(&config.robot.xarm)?];
+                let owned = Owned { records: Records::open()?, claims };
                 (Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, now_ns())?), Some(owned))
             }
         };
@@ -102,8 +103,8 @@ fn control_settings(config: &Config) -> ControlSettings {
     }
 }
 
-/// Makes this process the only one on this machine, of whatever user, that drives the arm.
-fn claim(xarm: &XArmSettings) -> anyhow::Result<Claim> {
+/// Makes this process the only one on this machine, of whatever user, that drives the arm at this address.
+fn claim_address(xarm: &XArmSettings) -> anyhow::Result<Claim> {
     let address = xarm.address.context("robot.xarm.address is missing")?;
     // One arm has one name, however its address is written.
     let address = address.to_canonical();
@@ -111,19 +112,21 @@ fn claim(xarm: &XArmSettings) -> anyhow::Result<Claim> {
         !(address.is_unspecified() || address.is_multicast()),
         "robot.xarm.address = {address}: give the address of one arm"
     );
-    let arm = std::net::SocketAddr::new(address, xarm.control_port);
-    Claim::take_within(LAST_OWNER, &format!("tendon-arm-{arm}"), "").with_context(|| {
-        format!(
-            "the arm at {arm} is driven by another session: end that one first, or check robot.xarm.address"
-        )
+    let address = std::net::SocketAddr::new(address, xarm.control_port);
+    claim(&format!("the arm at {address}"), &address.to_string())
+}
+
+fn claim(arm: &str, name: &str) -> anyhow::Result<Claim> {
+    Claim::take_within(LAST_OWNER, &format!("tendon-arm-{name}"), "").with_context(|| {
+        format!("{arm} is driven by another session: end that one first, or check robot.xarm.address")
     })
 }
 
 /// An arm on the network is this process's alone, and leaves a record.
 struct Owned {
     records: Records,
-    // Held for as long as the process lives.
-    _claim: Claim,
+    /// Of its address, and of its serial number once that is known. Held for as long as the process lives.
+    claims: Vec<Claim>,
 }
 
 struct Robot {
@@ -235,13 +238,13 @@ impl Robot {
     ///
     /// # Errors
     ///
-    /// When it cannot be removed.
+    /// When it cannot be removed, or when the arm is driven by another session that knows it by another address.
     fn take_record(&mut self) -> anyhow::Result<Departure> {
         self.has_departed = true;
-        match &self.owned {
-            Some(owned) => owned.records.take(&self.controller.key()),
-            None => Ok(Departure::NoRecord),
-        }
+        let Some(owned) = &mut self.owned else { return Ok(Departure::NoRecord) };
+        let key = self.controller.key();
+        owned.claims.push(claim(&format!("the arm {key}"), &format!("serial-{key}"))?);
+        owned.records.take(&key)
     }
 
     fn obey(&mut self, process: &mut StageProcess, order: Order) -> anyhow::Result<()> {
@@ -255,7 +258,7 @@ impl Robot {
                 }
             }
             Order::Arm => {
-                if !self.has_departed {
+                if !self.has_departed && self.controller.is_connected() {
                     self.take_record()?;
                 }
                 self.askers.extend(process.control.take_asker());

@@ -4,28 +4,43 @@
 //! session begins ─▶ take: read and remove ─▶ … ─▶ ends in good order ─▶ leave: write, at these joints
 //!                        │                    └── stopped, killed, an error ─▶ there is none
 //!                        └── none, unreadable: the arm waits for `tendon arm` ◀──┘
+//!
+//! /var/tmp/tendon-arms/SERIAL.UID   a token of the newest session of each user on that arm
 //! ```
 //!
 //! What permits a motion is a record that is there and matches; whatever goes wrong leaves none. It is a file for every
-//! arm in the user's folder of lasting state, whatever the session is called.
+//! arm in the user's folder of lasting state, whatever the session is called. It holds the tokens of all users at that
+//! time: a session of anybody that has had the arm since makes it worthless.
+
+use std::collections::BTreeMap;
+use std::path::Path;
 
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use tendon_arm::JointVector;
 use tendon_control::Departure;
-use tendon_paths::{PrivateFolder, state_folder};
+use tendon_paths::{PrivateFolder, SharedFolder, state_folder};
+
+/// Where the tokens of all users are. It outlasts a restart of the machine.
+const TOKENS: &str = "/var/tmp/tendon-arms";
+/// A new random name for every reader (random(4)).
+const RANDOM: &str = "/proc/sys/kernel/random/uuid";
 
 /// What the file holds.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Contents {
     left_in_good_order_at_joints_rad: [f64; 7],
+    /// The token of each user's newest session on the arm.
+    #[serde(default)]
+    tokens: BTreeMap<u32, String>,
 }
 
 /// The records of all arms of this user.
 #[derive(Debug)]
 pub struct Records {
     folder: PrivateFolder,
+    tokens: SharedFolder,
 }
 
 impl Records {
@@ -36,25 +51,32 @@ impl Records {
     /// When it cannot be had, or not be trusted.
     pub fn open() -> anyhow::Result<Records> {
         let arms = state_folder().context("no folder for the record of the arm")?.path().join("arms");
-        Records::of(PrivateFolder::open(&arms).context("no folder for the record of the arm")?)
+        Records::of(&arms, Path::new(TOKENS)).context("no folder for the record of the arm")
     }
 
-    fn of(folder: PrivateFolder) -> anyhow::Result<Records> {
-        Ok(Records { folder })
+    fn of(arms: &Path, tokens: &Path) -> anyhow::Result<Records> {
+        Ok(Records { folder: PrivateFolder::open(arms)?, tokens: SharedFolder::open(tokens)? })
     }
 
-    /// Reads the record of an arm and removes it, so that nothing is left of it whatever happens next.
+    /// Reads the record of an arm and removes it, so that nothing is left of it whatever happens next. From now on the
+    /// records of other users permit nothing either.
     ///
     /// # Errors
     ///
-    /// When it cannot be removed: then nothing may move.
+    /// When either cannot be done: then nothing may move.
     pub fn take(&self, arm: &str) -> anyhow::Result<Departure> {
-        let name = file_name(arm);
+        let arm = safe_name(arm);
+        let name = format!("{arm}.json");
+        let tokens = self.tokens.notes(&arm).context("cannot see who has used the arm")?;
         let departure = match self.folder.read(&name) {
             Ok(None) => Departure::NoRecord,
-            Ok(Some(bytes)) => match serde_json::from_slice(&bytes) {
-                Ok(Contents { left_in_good_order_at_joints_rad }) => {
-                    Departure::LeftAt(JointVector::from(left_in_good_order_at_joints_rad))
+            Ok(Some(bytes)) => match serde_json::from_slice::<Contents>(&bytes) {
+                Ok(contents) if contents.tokens != tokens => {
+                    tracing::warn!("another session has used the arm since this user left it in good order");
+                    Departure::NoRecord
+                }
+                Ok(contents) => {
+                    Departure::LeftAt(JointVector::from(contents.left_in_good_order_at_joints_rad))
                 }
                 Err(error) => {
                     tracing::warn!("the record of how the arm was left cannot be read: {error}");
@@ -67,6 +89,10 @@ impl Records {
             }
         };
         self.folder.remove(&name).context("cannot remove the record of how the arm was left")?;
+        let token = std::fs::read_to_string(RANDOM).context("no random numbers")?;
+        self.tokens
+            .leave_note(&arm, token.trim())
+            .context("cannot tell other users that the arm is in use")?;
         Ok(departure)
     }
 
@@ -76,16 +102,18 @@ impl Records {
     ///
     /// When it cannot be written; the arm then waits in the next session.
     pub fn leave(&self, arm: &str, joints_rad: &JointVector) -> anyhow::Result<()> {
-        let contents = Contents { left_in_good_order_at_joints_rad: (*joints_rad).into() };
+        let arm = safe_name(arm);
+        let tokens = self.tokens.notes(&arm).context("cannot see who has used the arm")?;
+        let contents = Contents { left_in_good_order_at_joints_rad: (*joints_rad).into(), tokens };
         let bytes = serde_json::to_vec(&contents).context("cannot write the record of the arm")?;
-        self.folder.write(&file_name(arm), &bytes).context("cannot write the record of the arm")
+        self.folder.write(&format!("{arm}.json"), &bytes).context("cannot write the record of the arm")
     }
 }
 
-/// A name of letters, digits and a few signs, whatever an arm calls itself.
-fn file_name(arm: &str) -> String {
+/// A name of letters, digits and hyphens, whatever an arm calls itself.
+fn safe_name(arm: &str) -> String {
     let safe = |character: char| if character.is_ascii_alphanumeric() { character } else { '-' };
-    format!("{}.json", arm.chars().map(safe).collect::<String>())
+    arm.chars().map(safe).collect()
 }
 
 #[cfg(test)]
@@ -95,19 +123,41 @@ mod tests {
     #[test]
     fn a_record_is_there_once_and_what_is_none_of_ours_permits_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        let records = Records::of(PrivateFolder::open(folder.path()).unwrap()).unwrap();
+        let records = Records::of(folder.path(), &folder.path().join("tokens")).unwrap();
         let joints_rad = JointVector::from([0.0, -0.26, 0.0, 0.79, 0.0, 1.05, 0.0]);
         assert_eq!(records.take("XI1305 a/b").unwrap(), Departure::NoRecord);
         records.leave("XI1305 a/b", &joints_rad).unwrap();
         assert_eq!(records.take("another").unwrap(), Departure::NoRecord);
         assert_eq!(records.take("XI1305 a/b").unwrap(), Departure::LeftAt(joints_rad));
         assert_eq!(records.take("XI1305 a/b").unwrap(), Departure::NoRecord, "reading removes it");
-        let file = folder.path().join(file_name("torn"));
+        let file = folder.path().join("torn.json");
         std::fs::write(&file, "{\"left_in_good_order_at_joints_rad\":[0.0,").unwrap();
         assert_eq!(records.take("torn").unwrap(), Departure::Unusable);
         assert!(!file.exists());
         std::os::unix::fs::symlink("/dev/null", &file).unwrap();
         assert_eq!(records.take("torn").unwrap(), Departure::Unusable, "a link is not followed");
         assert!(file.symlink_metadata().is_err());
+    }
+
+    #[test]
+    fn a_session_of_anybody_since_makes_a_record_worthless() {
+        let place = tempfile::tempdir().unwrap();
+        let tokens = place.path().join("tokens");
+        let [mine, others] =
+            ["mine", "others"].map(|user| Records::of(&place.path().join(user), &tokens).unwrap());
+        let joints_rad = JointVector::zeros();
+        mine.take("XI1305").unwrap();
+        mine.leave("XI1305", &joints_rad).unwrap();
+        // A session on another arm is no reason.
+        others.take("XI1306").unwrap();
+        assert_eq!(mine.take("XI1305").unwrap(), Departure::LeftAt(joints_rad));
+        mine.leave("XI1305", &joints_rad).unwrap();
+        others.take("XI1305").unwrap();
+        assert_eq!(mine.take("XI1305").unwrap(), Departure::NoRecord);
+        mine.leave("XI1305", &joints_rad).unwrap();
+        // Nor does it help to remove the tokens.
+        std::fs::remove_dir_all(&tokens).unwrap();
+        let mine = Records::of(&place.path().join("mine"), &tokens).unwrap();
+        assert_eq!(mine.take("XI1305").unwrap(), Departure::NoRecord);
     }
 }

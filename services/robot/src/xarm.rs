@@ -22,7 +22,7 @@ use tendon_config::XArmSettings;
 use tendon_control::{Arm, ArmReport, Drive, Link, Stop};
 use tendon_messages::StopReason;
 use tendon_transport::now_ns;
-use tendon_xarm::{Client, ClientSettings, Halt, Mode, Phase, Status, Velocity};
+use tendon_xarm::{ArmState, Client, ClientSettings, Halt, Mode, Phase, Status, Velocity};
 
 /// How long a velocity lasts without a newer one: two increments of the paper's windows.
 const VELOCITY_DURATION: Duration = Duration::from_millis(150);
@@ -194,7 +194,7 @@ impl Arm for XArm {
     fn key(&self) -> String {
         match self.status.identity {
             Some(identity) if !identity.serial_number.as_str().is_empty() => {
-                format!("{}-{}", identity.serial_number, self.control)
+                identity.serial_number.to_string()
             }
             _ => self.control.to_string(),
         }
@@ -239,9 +239,10 @@ impl Arm for XArm {
             joints_rad: self.joints_rad(),
             silent_ns: u64::try_from(silence.as_nanos()).unwrap_or(u64::MAX),
             speed_mm_per_s: self.speed_mm_per_s,
+            is_stopped: self.status.report.is_some_and(|report| report.state == ArmState::Stopped),
             gripper_pulses: gripper.map(|gripper| f64::from(gripper.position_pulses)),
             is_gripper_moving: gripper.is_some_and(|gripper| gripper.moves),
-            is_commanded_to_rest: self.motion.is_commanded_to_rest(),
+            told: self.motion.velocity(),
             halted_by_watchdog: self.motion.halted_by_watchdog(),
             obstacle: self.motion.obstacle(),
         }

@@ -52,9 +52,10 @@ struct ArmOptions {
     /// Version of the firmware. Before 1.8.0 the arm keeps moving when no new velocity arrives.
     #[arg(long, default_value = "1.12.10", value_parser = firmware)]
     firmware: Firmware,
-    /// Serial number. Characters 3 to 6 are the generation: from 1305 on, joints 2 and 4 have a smaller range.
-    #[arg(long, default_value = "XI130000000000")]
-    serial_number: String,
+    /// Serial number [default: XI1300 and the control port]. Characters 3 to 6 are the generation: from 1305 on, joints 2
+    /// and 4 have a smaller range. Tendon knows an arm by this number: no two may have the same.
+    #[arg(long)]
+    serial_number: Option<String>,
     /// TCP offset on the controller, from the flange to the tip of the tool: mm and rad. The arm reports the pose of the
     /// tip.
     #[arg(
@@ -91,21 +92,21 @@ struct ArmOptions {
     gravity: [f32; 3],
 }
 
-impl From<ArmOptions> for Properties {
-    fn from(options: ArmOptions) -> Properties {
-        let [load_kg, x, y, z] = options.load;
+impl ArmOptions {
+    fn properties(self, control_port: u16) -> Properties {
+        let [load_kg, x, y, z] = self.load;
         Properties {
-            axes: options.axes,
-            model: options.model,
-            firmware: options.firmware,
-            serial_number: options.serial_number,
+            axes: self.axes,
+            model: self.model,
+            firmware: self.firmware,
+            serial_number: self.serial_number.unwrap_or_else(|| format!("XI1300{control_port:08}")),
             setup: Setup {
-                tcp_offset: options.tcp_offset,
+                tcp_offset: self.tcp_offset,
                 load_kg,
                 load_centre_mm: [x, y, z],
-                collision_sensitivity: options.collision_sensitivity,
-                teaching_sensitivity: options.teaching_sensitivity,
-                gravity: Some(options.gravity),
+                collision_sensitivity: self.collision_sensitivity,
+                teaching_sensitivity: self.teaching_sensitivity,
+                gravity: Some(self.gravity),
             },
         }
     }
@@ -143,7 +144,7 @@ fn main() -> anyhow::Result<()> {
         rich_report_port: options.rich_report_port,
         real_time_report_port: options.real_time_report_port,
     };
-    let emulator = Emulator::start_as(options.arm.into(), listen)?;
+    let emulator = Emulator::start_as(options.arm.properties(options.control_port), listen)?;
     options.fault.iter().for_each(|&fault| emulator.inject(fault));
     let mut output = std::io::stdout();
     let Listen { address, control_port, normal_report_port, rich_report_port, real_time_report_port } =
@@ -195,10 +196,11 @@ mod tests {
     fn the_options_are_those_of_an_xarm7_by_default() {
         Options::command().debug_assert();
         let options = Options::parse_from(["xarm-emulator"]);
-        assert_eq!(Properties::from(options.arm), Properties::default());
+        let expected = Properties { serial_number: "XI130000000502".to_owned(), ..Properties::default() };
+        assert_eq!(options.arm.properties(options.control_port), expected);
         let options =
             Options::parse_from(["xarm-emulator", "--tcp-offset", "-1,0,172,0,0,0", "--firmware", "1.7.9"]);
-        let properties = Properties::from(options.arm);
+        let properties = options.arm.properties(502);
         assert_eq!(properties.setup.tcp_offset[..3], [-1.0, 0.0, 172.0]);
         assert!(!properties.firmware.obeys_duration());
         for wrong in ["1,2", "1,2,3,4,5,x", "1,2,3,4,5,inf"] {

@@ -1,9 +1,17 @@
-//! What an arm reports, held against its limits.
+//! What an arm reports, held against its limits and against what it was told.
+//!
+//! ```text
+//! told velocity    ____/▔▔▔▔▔▔▔▔\______        An arm follows late and smoothly. So its mean velocity lies between the
+//! reported           ____/▔▔▔▔▔▔▔▔\____        least and the greatest that it was told in the time in which it was
+//!                   |◀ lag ▶|◀ span ▶| now     measured (span) and just before (lag), whatever smooths and delays it.
+//! ```
+
+use std::collections::VecDeque;
 
 use nalgebra::Vector3;
 
-use crate::ArmSettings;
 use crate::kinematics::{JointLimits, JointVector, XArm7};
+use crate::{ArmSettings, Twist};
 
 /// A reported joint angle may be so far beyond its limit, in rad.
 const JOINT_TOLERANCE_RAD: f64 = 0.01;
@@ -15,18 +23,38 @@ const BOX_TOLERANCE_MM: f64 = 2.0;
 /// machine, must not look like a fast arm.
 const SPEED_OVER_NS: u64 = 100_000_000;
 
+/// The velocity is measured over this time at least, in ns, to be held against what the arm was told: a report that
+/// comes 50 ms late is then off by a sixth.
+const VELOCITY_OVER_NS: u64 = 300_000_000;
+
 /// Positions are kept for speeds at least this far apart, in ns.
 const KEPT_EVERY_NS: u64 = 8_000_000;
 
-/// As many positions as lie within [`SPEED_OVER_NS`], and some for reports that come late.
-const KEPT: usize = 24;
+/// As many positions as lie within [`VELOCITY_OVER_NS`] and [`BRAKING_NS`], and some for reports that come late.
+const KEPT: usize = 96;
 
 /// An arm commanded to rest may be as fast as this, in mm/s: what the noise of its reports may look like.
 const CREEP_MM_PER_S: f64 = 10.0;
 
+/// An arm commanded to rest may drift so far, in mm: what somebody who leans on it bends it by.
+const DRIFT_MM: f64 = 5.0;
+
+/// A slower flange, in mm/s, is told to rest: at a limit the velocity is never quite zero.
+const REST_MM_PER_S: f64 = 1.0;
+
 /// After so long at commanded rest, in ns, the arm must be at rest: a stop takes 80 ms, the way of commands and reports
 /// some more, and the arm's own deceleration from full speed up to 0.25 s.
 const BRAKING_NS: u64 = 350_000_000;
+
+/// The velocity along an axis may be off what was told by so much, in mm/s, and by this share of the speed told.
+const OFF_MM_PER_S: f64 = 20.0;
+const OFF_SHARE: f64 = 0.3;
+
+/// How far the tip of a tool, which a told rotation keeps in place, may be from the flange, in mm.
+const TOOL_REACH_MM: f64 = 300.0;
+
+/// A guard that has not looked for so long, in ns, does not know what the arm was told meanwhile.
+const GAP_NS: u64 = 50_000_000;
 
 /// An arm is not where, or not as fast, as it should be.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -62,6 +90,31 @@ pub enum LimitViolation {
         /// Its mean speed over 0.1 s in mm/s.
         speed_mm_per_s: f64,
     },
+    /// The flange crept away while the arm was commanded to rest.
+    #[error(
+        "the flange moved by {way_mm:.0} mm while the arm was commanded to rest: find out what drives or pulls it, \
+         then run `tendon arm`"
+    )]
+    Drifted {
+        /// How far it is from where it came to rest, in mm.
+        way_mm: f64,
+    },
+    /// The flange does not move as it was told.
+    #[error(
+        "the flange moves along {axis} at {measured_mm_per_s:.0} mm/s and was told {lowest_mm_per_s:.0} to \
+         {highest_mm_per_s:.0}: find out what holds or pulls the arm, or slows it in its own settings, then run \
+         `tendon arm`"
+    )]
+    NotFollowing {
+        /// The axis, `x`, `y` or `z`.
+        axis: char,
+        /// Its mean velocity along it over 0.3 s in mm/s.
+        measured_mm_per_s: f64,
+        /// The least velocity along it that it was told, in mm/s.
+        lowest_mm_per_s: f64,
+        /// The greatest.
+        highest_mm_per_s: f64,
+    },
     /// The flange is faster than any command allows.
     #[error(
         "the flange moves at {speed_mm_per_s:.0} mm/s, faster than it was told: find out what else drives the arm, \
@@ -73,9 +126,80 @@ pub enum LimitViolation {
     },
 }
 
-/// Watches the reports of an arm: that it stays within joint limits, workspace and speed, whatever it was told, and at
-/// rest while it is commanded to. The position of the flange is that of our own kinematics: what the arm calls its
-/// position is that of a tool.
+/// What an arm was told since the guard last looked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Told {
+    /// The velocity of the flange.
+    pub velocity: Twist,
+    /// Whether it may not have heard of that, and have come to rest by itself.
+    pub may_be_unheard: bool,
+}
+
+impl Told {
+    /// A velocity that the arm has heard of.
+    pub fn velocity(velocity: Twist) -> Told {
+        Told { velocity, may_be_unheard: false }
+    }
+
+    fn is_rest(&self) -> bool {
+        let Told { velocity, .. } = self;
+        velocity.linear_speed_mm_per_s() < REST_MM_PER_S
+            && velocity.angular_speed_rad_per_s() * TOOL_REACH_MM < REST_MM_PER_S
+    }
+}
+
+/// The velocities told in some time.
+#[derive(Clone, Copy, Debug)]
+struct ToldRange {
+    /// Along x, y and z in mm/s.
+    lowest_mm_per_s: Vector3<f64>,
+    highest_mm_per_s: Vector3<f64>,
+    /// The greatest speeds.
+    linear_mm_per_s: f64,
+    angular_rad_per_s: f64,
+}
+
+impl ToldRange {
+    fn of(told: &Told) -> ToldRange {
+        let linear_mm_per_s = Vector3::from(told.velocity.linear_mm_per_s);
+        let zero = Vector3::zeros();
+        let (or_lowest, or_highest) =
+            if told.may_be_unheard { (zero, zero) } else { (linear_mm_per_s, linear_mm_per_s) };
+        ToldRange {
+            lowest_mm_per_s: linear_mm_per_s.inf(&or_lowest),
+            highest_mm_per_s: linear_mm_per_s.sup(&or_highest),
+            linear_mm_per_s: linear_mm_per_s.norm(),
+            angular_rad_per_s: told.velocity.angular_speed_rad_per_s(),
+        }
+    }
+
+    fn joined(self, other: &ToldRange) -> ToldRange {
+        ToldRange {
+            lowest_mm_per_s: self.lowest_mm_per_s.inf(&other.lowest_mm_per_s),
+            highest_mm_per_s: self.highest_mm_per_s.sup(&other.highest_mm_per_s),
+            linear_mm_per_s: self.linear_mm_per_s.max(other.linear_mm_per_s),
+            angular_rad_per_s: self.angular_rad_per_s.max(other.angular_rad_per_s),
+        }
+    }
+}
+
+/// Where the flange was, and what it was told from then on.
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    at_ns: u64,
+    position_mm: Vector3<f64>,
+    told: ToldRange,
+}
+
+impl Kept {
+    fn speed_to_mm_per_s(&self, now_ns: u64, position_mm: &Vector3<f64>) -> Vector3<f64> {
+        (position_mm - self.position_mm) / ((now_ns - self.at_ns) as f64 * 1e-9)
+    }
+}
+
+/// Watches the reports of an arm: that it stays within joint limits, workspace and speed, whatever it was told, that it
+/// moves as it was told, and rests while it is told to. The position of the flange is that of our own kinematics: what the
+/// arm calls its position is that of a tool.
 ///
 /// It is software: it is not safety-rated and replaces no emergency stop.
 #[derive(Clone, Debug)]
@@ -85,12 +209,13 @@ pub struct Guard {
     workspace_min_mm: [f64; 3],
     workspace_max_mm: [f64; 3],
     most_mm_per_s: f64,
-    /// Times (ns) and positions (mm) from which speed is measured, the oldest at `next`.
-    kept: [(u64, Vector3<f64>); KEPT],
-    next: usize,
-    count: usize,
+    /// The oldest first.
+    kept: VecDeque<Kept>,
+    looked_ns: u64,
     /// Since when the arm has been commanded to rest.
     resting_since_ns: Option<u64>,
+    /// Where the flange came to rest, mm.
+    rested_at_mm: Option<Vector3<f64>>,
     was_inside: bool,
 }
 
@@ -103,10 +228,10 @@ impl Guard {
             workspace_min_mm: settings.workspace_min_mm,
             workspace_max_mm: settings.workspace_max_mm,
             most_mm_per_s: 1.5 * settings.linear_speed_limit_mm_per_s + 20.0,
-            kept: [(0, Vector3::zeros()); KEPT],
-            next: 0,
-            count: 0,
+            kept: VecDeque::with_capacity(KEPT),
+            looked_ns: 0,
             resting_since_ns: None,
+            rested_at_mm: None,
             was_inside: false,
         }
     }
@@ -116,8 +241,7 @@ impl Guard {
         self.joint_limits = limits;
     }
 
-    /// Checks a report of joint angles (rad) that was looked at at `now_ns`. `is_at_rest`: the arm is commanded to rest
-    /// then.
+    /// Checks a report of joint angles (rad) that was looked at at `now_ns`, when the arm had been told `told`.
     ///
     /// A flange that was outside the workspace from the beginning, or since [`Guard::reset`], may be there until it is
     /// inside for the first time: otherwise nothing could drive it back.
@@ -128,12 +252,12 @@ impl Guard {
         &mut self,
         now_ns: u64,
         joints_rad: &JointVector,
-        is_at_rest: bool,
+        told: &Told,
     ) -> Result<(), LimitViolation> {
         self.check_joints(joints_rad)?;
         let position_mm = self.arm.flange_pose_m(joints_rad).translation.vector * 1e3;
         self.check_box(&position_mm)?;
-        self.check_speed(now_ns, position_mm, is_at_rest)
+        self.check_motion(now_ns, position_mm, told)
     }
 
     fn check_joints(&self, joints_rad: &JointVector) -> Result<(), LimitViolation> {
@@ -164,55 +288,112 @@ impl Guard {
         Ok(())
     }
 
-    fn check_speed(
+    fn check_motion(
         &mut self,
         now_ns: u64,
         position_mm: Vector3<f64>,
-        is_at_rest: bool,
+        told: &Told,
     ) -> Result<(), LimitViolation> {
-        if is_at_rest {
+        let passed_ns = now_ns.saturating_sub(self.looked_ns);
+        self.looked_ns = now_ns;
+        if told.is_rest() {
             self.resting_since_ns.get_or_insert(now_ns);
         } else {
             self.resting_since_ns = None;
         }
-        let Some((from_ns, from_mm)) = self.position_before(now_ns) else {
-            self.keep(now_ns, position_mm);
-            return Ok(());
-        };
-        self.keep(now_ns, position_mm);
-        let speed_mm_per_s = (position_mm - from_mm).norm() / ((now_ns - from_ns) as f64 * 1e-9);
+        let may_be_unheard = told.may_be_unheard || passed_ns > GAP_NS;
+        self.keep(now_ns, position_mm, ToldRange::of(&Told { may_be_unheard, ..*told }));
+        self.check_speed(now_ns, &position_mm)?;
+        self.check_drift(now_ns, &position_mm, told.velocity, passed_ns)?;
+        self.check_velocity(now_ns, &position_mm)
+    }
+
+    fn check_speed(&self, now_ns: u64, position_mm: &Vector3<f64>) -> Result<(), LimitViolation> {
+        let Some(from) = self.kept_before(now_ns, SPEED_OVER_NS) else { return Ok(()) };
+        let speed_mm_per_s = from.speed_to_mm_per_s(now_ns, position_mm).norm();
         if speed_mm_per_s > self.most_mm_per_s {
             return Err(LimitViolation::OverSpeed { speed_mm_per_s });
         }
         // All of the time over which the speed was measured lies after the braking.
-        let has_braked = self.resting_since_ns.is_some_and(|since_ns| from_ns >= since_ns + BRAKING_NS);
+        let has_braked = self.resting_since_ns.is_some_and(|since_ns| from.at_ns >= since_ns + BRAKING_NS);
         if has_braked && speed_mm_per_s > CREEP_MM_PER_S {
             return Err(LimitViolation::Creeping { speed_mm_per_s });
         }
         Ok(())
     }
 
-    /// The newest position kept that is old enough to measure speed from.
-    fn position_before(&self, now_ns: u64) -> Option<(u64, Vector3<f64>)> {
-        let is_old_enough =
-            |&&(at_ns, _): &&(u64, Vector3<f64>)| now_ns.saturating_sub(at_ns) >= SPEED_OVER_NS;
-        self.kept[..self.count].iter().filter(is_old_enough).max_by_key(|(at_ns, _)| *at_ns).copied()
+    fn check_drift(
+        &mut self,
+        now_ns: u64,
+        position_mm: &Vector3<f64>,
+        told: Twist,
+        passed_ns: u64,
+    ) -> Result<(), LimitViolation> {
+        if self.resting_since_ns.is_none_or(|since_ns| now_ns < since_ns + BRAKING_NS) {
+            self.rested_at_mm = None;
+            return Ok(());
+        }
+        let rested_at_mm = self.rested_at_mm.get_or_insert(*position_mm);
+        // At a limit the velocity is small and not zero.
+        *rested_at_mm += Vector3::from(told.linear_mm_per_s) * (passed_ns as f64 * 1e-9);
+        let way_mm = (position_mm - *rested_at_mm).norm();
+        if way_mm > DRIFT_MM {
+            return Err(LimitViolation::Drifted { way_mm });
+        }
+        Ok(())
     }
 
-    fn keep(&mut self, now_ns: u64, position_mm: Vector3<f64>) {
-        let newest_ns = self.kept[(self.next + KEPT - 1) % KEPT].0;
-        if self.count == 0 || now_ns.saturating_sub(newest_ns) >= KEPT_EVERY_NS {
-            self.kept[self.next] = (now_ns, position_mm);
-            self.next = (self.next + 1) % KEPT;
-            self.count = (self.count + 1).min(KEPT);
+    /// See the picture at the top.
+    fn check_velocity(&self, now_ns: u64, position_mm: &Vector3<f64>) -> Result<(), LimitViolation> {
+        let Some(from) = self.kept_before(now_ns, VELOCITY_OVER_NS) else { return Ok(()) };
+        // The range that was told from the newest time on that lies before the lag.
+        let Some(first) = self.kept.iter().rposition(|kept| kept.at_ns + BRAKING_NS <= from.at_ns) else {
+            return Ok(());
+        };
+        let told = self.kept.range(first..).fold(self.kept[first].told, |told, kept| told.joined(&kept.told));
+        let off_mm_per_s =
+            OFF_MM_PER_S + OFF_SHARE * told.linear_mm_per_s + TOOL_REACH_MM * told.angular_rad_per_s;
+        let measured = from.speed_to_mm_per_s(now_ns, position_mm);
+        for (index, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
+            let lowest_mm_per_s = told.lowest_mm_per_s[index];
+            let highest_mm_per_s = told.highest_mm_per_s[index];
+            let permitted = lowest_mm_per_s - off_mm_per_s..=highest_mm_per_s + off_mm_per_s;
+            if !permitted.contains(&measured[index]) {
+                let measured_mm_per_s = measured[index];
+                return Err(LimitViolation::NotFollowing {
+                    axis,
+                    measured_mm_per_s,
+                    lowest_mm_per_s,
+                    highest_mm_per_s,
+                });
+            }
         }
+        Ok(())
+    }
+
+    /// The newest position kept that is at least so old.
+    fn kept_before(&self, now_ns: u64, age_ns: u64) -> Option<&Kept> {
+        self.kept.iter().rev().find(|kept| now_ns.saturating_sub(kept.at_ns) >= age_ns)
+    }
+
+    fn keep(&mut self, now_ns: u64, position_mm: Vector3<f64>, told: ToldRange) {
+        if let Some(newest) = self.kept.back_mut() {
+            newest.told = newest.told.joined(&told);
+            if now_ns.saturating_sub(newest.at_ns) < KEPT_EVERY_NS {
+                return;
+            }
+        }
+        if self.kept.len() == KEPT {
+            self.kept.pop_front();
+        }
+        self.kept.push_back(Kept { at_ns: now_ns, position_mm, told });
     }
 
     /// Forgets where the arm was: for a new connection, or when the guard did not watch for a while.
     pub fn reset(&mut self) {
-        self.count = 0;
-        self.next = 0;
+        self.kept.clear();
         self.resting_since_ns = None;
+        self.rested_at_mm = None;
         self.was_inside = false;
     }
 }
@@ -220,106 +401,170 @@ impl Guard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Twist;
     use crate::kinematics::UPPER_LIMITS_RAD;
     use crate::velocity::joint_velocities;
 
     const MS: u64 = 1_000_000;
+    const REST: Told = Told { velocity: Twist::ZERO, may_be_unheard: false };
 
     fn guard() -> (Guard, JointVector) {
         let settings = ArmSettings::default();
         (Guard::new(&settings), settings.start_joints_rad())
     }
 
-    /// Joints (rad) every 4 ms of an arm whose flange moves along an axis at this speed from the start.
-    fn moving(axis: usize, speed_mm_per_s: f64) -> impl Iterator<Item = (u64, JointVector)> {
-        let (arm, mut joints_rad) = (XArm7::new(), ArmSettings::default().start_joints_rad());
+    fn along(axis: usize, speed_mm_per_s: f64) -> Twist {
         let mut twist = Twist::ZERO;
         twist.linear_mm_per_s[axis] = speed_mm_per_s;
+        twist
+    }
+
+    /// Joints (rad) every 4 ms of an arm that moves at the velocity of each step from the start.
+    fn path(twist_of: impl Fn(u64) -> Twist) -> impl Iterator<Item = (u64, JointVector)> {
+        let (arm, mut joints_rad) = (XArm7::new(), ArmSettings::default().start_joints_rad());
         (0..).map(move |step| {
             let now = joints_rad;
-            joints_rad += joint_velocities(&arm, &joints_rad, &twist).rad_per_s * 4e-3;
+            joints_rad += joint_velocities(&arm, &joints_rad, &twist_of(step)).rad_per_s * 4e-3;
             (step * 4 * MS, now)
+        })
+    }
+
+    fn moving(axis: usize, speed_mm_per_s: f64) -> impl Iterator<Item = (u64, JointVector)> {
+        path(move |_| along(axis, speed_mm_per_s))
+    }
+
+    /// When, in ms, something is first found of an arm that moves and is told such velocities in each step.
+    fn found_ms(
+        steps: usize,
+        moves: impl Fn(u64) -> Twist,
+        told: impl Fn(u64) -> Told,
+    ) -> Option<(u64, LimitViolation)> {
+        let (mut guard, _) = guard();
+        path(moves).take(steps).enumerate().find_map(|(step, (now_ns, joints_rad))| {
+            let violation = guard.check(now_ns, &joints_rad, &told(step as u64)).err()?;
+            Some((now_ns / MS, violation))
         })
     }
 
     #[test]
     fn an_arm_within_its_limits_passes() {
-        let (mut guard, _) = guard();
-        assert!(
-            moving(1, 100.0).take(900).all(|(now_ns, joints)| guard.check(now_ns, &joints, false).is_ok())
-        );
+        let told = |_| Told::velocity(along(1, 100.0));
+        assert_eq!(found_ms(900, |_| along(1, 100.0), told), None);
     }
 
     #[test]
     fn a_joint_beyond_its_limit_is_named() {
         let (mut guard, mut joints) = guard();
         joints[3] = UPPER_LIMITS_RAD[3] + 0.009;
-        assert_eq!(guard.check(0, &joints, false), Ok(()));
+        assert_eq!(guard.check(0, &joints, &REST), Ok(()));
         joints[3] = UPPER_LIMITS_RAD[3] + 0.011;
-        let violation = guard.check(0, &joints, false).unwrap_err();
+        let violation = guard.check(0, &joints, &REST).unwrap_err();
         assert!(matches!(violation, LimitViolation::JointLimit { joint: 4, .. }));
         assert!(
             violation.to_string().contains("joint 4 is at 225.6°")
                 && violation.to_string().contains("tendon arm")
         );
         joints[3] = f64::NAN;
-        assert!(guard.check(0, &joints, false).is_err());
+        assert!(guard.check(0, &joints, &REST).is_err());
         // The limits are those of the arm that is there.
         let (mut guard, mut joints) = self::guard();
         joints[1] = 2.035;
-        assert_eq!(guard.check(0, &joints, false), Ok(()));
+        assert_eq!(guard.check(0, &joints, &REST), Ok(()));
         let mut limits = JointLimits::default();
         limits.upper_rad[1] = 2.0246;
         guard.set_joint_limits(limits);
-        assert!(matches!(guard.check(0, &joints, false), Err(LimitViolation::JointLimit { joint: 2, .. })));
+        assert!(matches!(guard.check(0, &joints, &REST), Err(LimitViolation::JointLimit { joint: 2, .. })));
     }
 
     #[test]
     fn a_flange_that_leaves_the_workspace_is_named_and_may_come_back() {
         let (mut guard, _) = guard();
+        let told = Told::velocity(along(2, 100.0));
         let found = moving(2, 100.0)
-            .find_map(|(now_ns, joints)| Some((guard.check(now_ns, &joints, false).err()?, joints)));
+            .find_map(|(now_ns, joints)| Some((guard.check(now_ns, &joints, &told).err()?, joints)));
         let (violation, outside) = found.unwrap();
         assert!(matches!(violation, LimitViolation::WorkspaceBox { axis: 'z', .. }));
         guard.reset();
-        assert_eq!(guard.check(0, &outside, false), Ok(()));
-        assert_eq!(guard.check(4 * MS, &ArmSettings::default().start_joints_rad(), false), Ok(()));
-        assert!(guard.check(8 * MS, &outside, false).is_err());
+        assert_eq!(guard.check(0, &outside, &told), Ok(()));
+        assert_eq!(guard.check(4 * MS, &ArmSettings::default().start_joints_rad(), &told), Ok(()));
+        assert!(guard.check(8 * MS, &outside, &told).is_err());
     }
 
     #[test]
     fn too_fast_is_found_over_100_ms() {
-        let (mut guard, joints) = guard();
-        let found = moving(1, 175.0).find(|(now_ns, joints)| guard.check(*now_ns, joints, false).is_err());
-        assert_eq!(found.unwrap().0, 100 * MS);
+        let told = |_| Told::velocity(along(1, 100.0));
+        let (found_ms, violation) = found_ms(100, |_| along(1, 175.0), told).unwrap();
+        assert_eq!(found_ms, 100);
+        assert!(matches!(violation, LimitViolation::OverSpeed { .. }));
         // A jump within less than 100 ms is an outlier of the report, or shows in the next measurement.
-        guard.reset();
+        let (mut guard, joints) = guard();
         let (_, aside) = moving(1, 100.0).nth(12).unwrap();
-        assert_eq!(guard.check(0, &joints, false), Ok(()));
-        assert_eq!(guard.check(4 * MS, &aside, false), Ok(()));
-        assert_eq!(guard.check(52 * MS, &aside, false), Ok(()));
+        assert_eq!(guard.check(0, &joints, &REST), Ok(()));
+        assert_eq!(guard.check(4 * MS, &aside, &REST), Ok(()));
+        assert_eq!(guard.check(52 * MS, &aside, &REST), Ok(()));
     }
 
     #[test]
     fn an_arm_that_creeps_at_commanded_rest_is_found_within_100_ms_of_the_braking() {
-        for (speed_mm_per_s, found_ms) in [(20.0, Some(452)), (60.0, Some(452)), (9.0, None)] {
-            let (mut guard, _) = guard();
-            let mut creeping = moving(1, speed_mm_per_s).take(1000);
-            let found = creeping.find(|(now_ns, joints)| guard.check(*now_ns, joints, true).is_err());
-            assert_eq!(found.map(|(now_ns, _)| now_ns / MS), found_ms, "{speed_mm_per_s} mm/s");
+        for (speed_mm_per_s, expected_ms) in [(20.0, Some(452)), (60.0, Some(436))] {
+            let found = found_ms(1000, |_| along(1, speed_mm_per_s), |_| REST);
+            assert_eq!(found.map(|(at_ms, _)| at_ms), expected_ms, "{speed_mm_per_s} mm/s");
         }
+        // A slower one is found once it has moved by 5 mm.
+        let (found_at_ms, violation) = found_ms(1000, |_| along(1, 5.0), |_| REST).unwrap();
+        assert!((1350..1370).contains(&found_at_ms), "{found_at_ms}");
+        assert!(matches!(violation, LimitViolation::Drifted { .. }));
         // One that comes to rest in time does not, whatever it was commanded before.
-        let (mut guard, _) = guard();
-        for (now_ns, joints) in moving(1, 100.0).take(100) {
-            assert_eq!(guard.check(now_ns, &joints, false), Ok(()));
+        let until = |end: u64| move |step: u64| if step < end { along(1, 100.0) } else { Twist::ZERO };
+        assert_eq!(found_ms(1000, until(160), |step| Told::velocity(until(100)(step))), None);
+        // Nor does one that follows a command so slow that it counts as rest.
+        assert_eq!(found_ms(5000, |_| along(1, 0.9), |_| Told::velocity(along(1, 0.9))), None);
+    }
+
+    #[test]
+    fn an_arm_that_does_not_move_as_it_is_told_is_found_before_it_is_far() {
+        let told = |_| Told::velocity(along(2, 50.0));
+        for (moves, axis, within_ms) in [
+            (along(2, 0.0), 'z', 660),
+            (along(2, -50.0), 'z', 660),
+            (Twist { linear_mm_per_s: [0.0, 60.0, 50.0], ..Twist::ZERO }, 'y', 660),
+            (along(2, 100.0), 'z', 660),
+        ] {
+            let (at_ms, violation) = found_ms(1000, |_| moves, told).unwrap();
+            assert!(at_ms <= within_ms, "{moves:?}: {at_ms} ms");
+            assert!(
+                matches!(violation, LimitViolation::NotFollowing { axis: found, .. } if found == axis),
+                "{violation}"
+            );
         }
-        let (begin_ns, resting) = moving(1, 100.0).nth(160).unwrap();
-        for (now_ns, joints) in moving(1, 100.0).take(160).skip(100) {
-            assert_eq!(guard.check(now_ns, &joints, true), Ok(()));
+        // In the middle of a long motion it takes less: the arm begins to go sideways after 2 s.
+        let aside = |step: u64| Twist {
+            linear_mm_per_s: [0.0, if step < 500 { 0.0 } else { 100.0 }, 50.0],
+            ..Twist::ZERO
+        };
+        let (at_ms, _) = found_ms(1000, aside, told).unwrap();
+        assert!((2050..=2150).contains(&at_ms), "{at_ms}");
+    }
+
+    #[test]
+    fn an_arm_that_follows_late_smoothly_or_not_quite_passes() {
+        // To and fro at full speed, as no ramp would command it.
+        let square = |step: u64| along(1, if (step / 150).is_multiple_of(2) { 100.0 } else { -100.0 });
+        let told = |step: u64| Told::velocity(square(step));
+        for lag_steps in [0, 10, 60] {
+            let late = move |step: u64| square(step.saturating_sub(lag_steps));
+            assert_eq!(found_ms(3000, late, told), None, "{lag_steps} steps late");
         }
-        for step in 0..500 {
-            assert_eq!(guard.check(begin_ns + step * 4 * MS, &resting, true), Ok(()));
-        }
+        let smooth = |step: u64| {
+            let last = (0..60).map(|back| square(step.saturating_sub(back)).linear_mm_per_s[1]);
+            along(1, last.sum::<f64>() / 60.0)
+        };
+        assert_eq!(found_ms(3000, smooth, told), None);
+        assert_eq!(found_ms(500, |_| along(1, 60.0), |_| Told::velocity(along(1, 100.0))), None);
+        // A rotation about the tip of a tool moves the flange.
+        let turn = Twist { angular_rad_per_s: [0.0, 0.0, 0.5], ..Twist::ZERO };
+        assert_eq!(found_ms(400, |_| along(1, 100.0), |_| Told::velocity(turn)), None);
+        // One that may not have heard what it was told may rest.
+        let unheard = |_| Told { velocity: along(1, 100.0), may_be_unheard: true };
+        assert_eq!(found_ms(1000, |_| Twist::ZERO, unheard), None);
     }
 }

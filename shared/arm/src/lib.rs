@@ -27,7 +27,7 @@ mod simulation;
 mod twist;
 pub mod velocity;
 
-pub use guard::{Guard, LimitViolation};
+pub use guard::{Guard, LimitViolation, Told};
 pub use kinematics::{JointLimits, JointVector, XArm7};
 pub use limits::Obstacle;
 pub use motion::Motion;

@@ -5,9 +5,6 @@ use crate::limits::{Limits, Obstacle};
 use crate::ramp::TwistRamp;
 use crate::{ArmSettings, JointVector, NonFiniteTwist, Twist};
 
-/// A slower flange is at rest, in mm/s: at a limit the velocity is never quite zero.
-const REST_MM_PER_S: f64 = 1.0;
-
 /// The velocity that an arm is to follow, step by step: bounded in speed, acceleration and jerk
 /// ([`ArmSettings::linear_bounds`], [`ArmSettings::angular_bounds`]), never out of the workspace, and at rest when
 /// no command has come for the time of the watchdog.
@@ -81,11 +78,6 @@ impl Motion {
     /// The velocity of the last step.
     pub fn velocity(&self) -> Twist {
         self.ramp.velocity()
-    }
-
-    /// Whether the flange is to stand where it is, by command or because a limit lets it go no further.
-    pub fn is_commanded_to_rest(&self) -> bool {
-        self.velocity().linear_speed_mm_per_s() < REST_MM_PER_S
     }
 
     /// Whether nothing moves and nothing is told to.

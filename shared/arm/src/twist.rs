@@ -71,6 +71,15 @@ impl Twist {
         Vector6::new(x, y, z, roll, pitch, yaw)
     }
 
+    /// The twist of a vector that has linear velocity in m/s above angular velocity in rad/s.
+    pub fn from_vector_m(vector: &Vector6<f64>) -> Twist {
+        let [x, y, z, roll, pitch, yaw] = (*vector).into();
+        Twist {
+            linear_mm_per_s: [x, y, z].map(|value: f64| value * 1e3),
+            angular_rad_per_s: [roll, pitch, yaw],
+        }
+    }
+
     /// Linear velocity in mm/s above angular velocity in rad/s.
     pub(crate) fn to_vector_mm(self) -> Vector6<f64> {
         let ([x, y, z], [roll, pitch, yaw]) = (self.linear_mm_per_s, self.angular_rad_per_s);

@@ -62,12 +62,14 @@ pub struct ArmReport {
     pub silent_ns: u64,
     /// Speed of the flange in mm/s.
     pub speed_mm_per_s: f64,
+    /// Whether it says that it is stopped and follows no velocities.
+    pub is_stopped: bool,
     /// Position of the gripper in pulses; `None` without a gripper and before it has told.
     pub gripper_pulses: Option<f64>,
     /// Whether the gripper's fingers move.
     pub is_gripper_moving: bool,
-    /// Whether the flange is commanded to rest.
-    pub is_commanded_to_rest: bool,
+    /// The velocity of the flange that it was last told, unless it follows those of joints.
+    pub told: Twist,
     /// Whether the last command ran out and none has come since.
     pub halted_by_watchdog: bool,
     /// What keeps it from following the last command in full.

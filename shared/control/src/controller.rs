@@ -7,11 +7,11 @@
 //!     └────────▶ waiting ◀──────── any stop: order, error, guard, silence, end of a stage
 //! ```
 
-use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Obstacle, Twist, XArm7};
-use tendon_messages::{
-    ArmPhase, CommandHeader, Hindrance, Permission, STATE_LENGTH, StateHeader, StopReason, TWIST_LENGTH,
-    Trace,
-};
+mod state;
+mod watch;
+
+use tendon_arm::{ArmSettings, Guard, JointVector, Twist, XArm7};
+use tendon_messages::{CommandHeader, Permission, StateHeader, StopReason, TWIST_LENGTH, Trace};
 
 use crate::answer::ArmAnswer;
 use crate::arm::{Arm, ArmReport, Drive, Link, Stop};
@@ -19,12 +19,9 @@ use crate::gripper::Gripper;
 use crate::latch::Latch;
 use crate::start::{Departure, Start};
 
-/// After so long without a word from the supervisor it is taken to hang, ns: four of its heartbeats.
-const SUPERVISOR_SILENCE_NS: u64 = 120_000_000;
-/// After so long without a sign of life from the arm it is brought to rest, ns.
-const ARM_SILENCE_NS: u64 = 300_000_000;
-/// After so long without a sign of life from the arm the connection counts as broken, ns.
-const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
+pub use state::State;
+use watch::ARM_SILENCE_NS;
+
 /// How long the arm may take to connect, ns.
 const CONNECT_TIMEOUT_NS: u64 = 10_000_000_000;
 /// How long the arm may take to be brought up after an order, ns.
@@ -57,23 +54,14 @@ pub enum Taken {
     Stale,
 }
 
-/// What is published of the arm.
-#[derive(Clone, Copy, Debug)]
-pub struct State {
-    /// The header; its trace is that of the last command acted on.
-    pub header: StateHeader,
-    /// See [`STATE_LENGTH`].
-    pub payload: [f32; STATE_LENGTH],
-}
-
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     Connecting,
     /// Connected; how the arm was left decides whether it sets out.
     Departing,
     EnablingJoints,
-    /// The fastest joint has this speed, rad/s.
-    GoingToStart(f64),
+    /// The joints were told these velocities, rad/s.
+    GoingToStart(JointVector),
     EnablingFlange,
     Following,
     Waiting,
@@ -166,6 +154,11 @@ impl Controller {
         matches!(self.phase, Phase::Following | Phase::Waiting)
     }
 
+    /// Whether it is known which arm is there.
+    pub fn is_connected(&self) -> bool {
+        self.arm.report().link != Link::Connecting
+    }
+
     /// Why the arm could not be reached at all, after which there is nothing to wait for.
     pub fn failure(&self) -> Option<Stop> {
         self.failure.filter(|_| self.phase == Phase::Connecting)
@@ -196,6 +189,8 @@ impl Controller {
         let is_well = report.error_code.is_none()
             && report.link != Link::Connecting
             && report.silent_ns < ARM_SILENCE_NS
+            // Else another program has set it running again.
+            && report.is_stopped
             && report.stop.is_none_or(|stop| stop.reason == StopReason::Ordered);
         report.joints_rad.filter(|_| is_well)
     }
@@ -232,9 +227,11 @@ impl Controller {
         self.stop(Stop::because(StopReason::StageEnded));
     }
 
-    /// The session ends: stops the arm for good.
+    /// The session ends: stops the arm for good, unless it is not known yet whether this session may have it.
     pub fn end(&mut self) {
-        self.arm.stop();
+        if !matches!(self.phase, Phase::Connecting | Phase::Departing) {
+            self.arm.stop();
+        }
         self.gripper.stopped();
     }
 
@@ -336,28 +333,6 @@ impl Controller {
         }
     }
 
-    fn is_supervisor_silent(&self, now_ns: u64) -> bool {
-        self.settings.stale_ns.is_some()
-            && self
-                .supervisor_heard_ns
-                .is_some_and(|heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS)
-    }
-
-    /// A controller that stood still while its arm moved must not go on where it was: the arm has come to rest.
-    fn notice_stall(&mut self, now_ns: u64) {
-        let woke_ns = self.woke_ns.replace(now_ns).unwrap_or(now_ns);
-        if self.settings.stale_ns.is_none_or(|stale_ns| now_ns.saturating_sub(woke_ns) <= stale_ns) {
-            return;
-        }
-        self.latch.break_row();
-        if let Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange = self.phase {
-            self.stop(Stop::because(StopReason::RobotStalled));
-        } else if !self.arm.is_still() {
-            self.arm.stalled();
-            self.latch.interrupt(StopReason::RobotStalled);
-        }
-    }
-
     /// Lets the arm move, and looks after it.
     pub fn tick(&mut self, now_ns: u64) {
         self.notice_stall(now_ns);
@@ -420,56 +395,13 @@ impl Controller {
         self.failure = self.failure.or(Some(stop));
     }
 
-    fn look_at_link(&mut self, report: &ArmReport) {
-        if let Some(stop) = report.stop {
-            self.stop(stop);
-        } else if report.link == Link::Connecting {
-            self.stop(Stop::because(StopReason::ConnectionBroke));
-        }
-    }
-
-    /// Everything that must hold while the arm is up, wherever it goes.
-    fn watch(&mut self, report: &ArmReport, now_ns: u64) {
-        if self.phase == Phase::Waiting {
-            return;
-        }
-        let is_by_itself = self.phase != Phase::Following;
-        if self.is_supervisor_silent(now_ns) {
-            if is_by_itself {
-                return self.stop(Stop::because(StopReason::SupervisorSilent));
-            }
-            self.interrupt(StopReason::SupervisorSilent);
-        }
-        let is_moving_phase = matches!(self.phase, Phase::GoingToStart(_) | Phase::Following);
-        if is_moving_phase && report.silent_ns > CONNECTION_SILENCE_NS {
-            return self.stop(Stop::because(StopReason::ConnectionBroke));
-        }
-        if is_moving_phase && report.silent_ns > ARM_SILENCE_NS {
-            if is_by_itself {
-                return self.stop(Stop::because(StopReason::ArmSilent));
-            }
-            self.interrupt(StopReason::ArmSilent);
-        }
-        if let Some(joints_rad) = report.joints_rad {
-            let goes = matches!(self.phase, Phase::GoingToStart(_));
-            let is_at_rest = !goes && report.is_commanded_to_rest;
-            if let Err(violation) = self.guard.check(now_ns, &joints_rad, is_at_rest) {
-                return self.stop(Stop::because(reason_of(violation)));
-            }
-        }
-        // It stays so until the next command that the arm is given: a reason once, and not again and again.
-        if report.halted_by_watchdog && self.latch.permission() == Permission::Granted {
-            self.interrupt(StopReason::NoCommands);
-        }
-    }
-
     /// The next step of what the arm does by itself.
     fn go_on(&mut self, report: &ArmReport, now_ns: u64) {
         let Some(joints_rad) = report.joints_rad else { return };
         self.header.start_distance_mm = self.start.distance_mm(&joints_rad) as f32;
         match (self.phase, report.link) {
             (Phase::EnablingJoints, Link::Up(Drive::Joints)) => {
-                self.phase = Phase::GoingToStart(0.0);
+                self.phase = Phase::GoingToStart(JointVector::zeros());
                 if self.asked.take().is_some() {
                     self.answer = Some(ArmAnswer::GoingToStart);
                 }
@@ -479,10 +411,10 @@ impl Controller {
                 // An error that comes now is nobody's to clear.
                 self.bring_up(Drive::Flange, false, now_ns);
             }
-            (Phase::GoingToStart(speed_rad_per_s), _) => {
-                let (speed_rad_per_s, velocities) = self.start.step(&joints_rad, speed_rad_per_s);
-                self.arm.follow_joints(&velocities);
-                self.phase = Phase::GoingToStart(speed_rad_per_s);
+            (Phase::GoingToStart(told_rad_per_s), _) => {
+                let velocities_rad_per_s = self.start.step(&joints_rad, told_rad_per_s.amax());
+                self.arm.follow_joints(&velocities_rad_per_s);
+                self.phase = Phase::GoingToStart(velocities_rad_per_s);
             }
             (Phase::EnablingFlange, Link::Up(Drive::Flange)) => {
                 self.phase = Phase::Following;
@@ -550,70 +482,7 @@ impl Controller {
             self.stop(Stop::because(StopReason::NoCommands));
         }
     }
-
-    /// Where the arm is, whether it may move, and why not.
-    pub fn state(&self) -> State {
-        let report = self.arm.report();
-        let stop = self.latch.reason();
-        let is_before = !(self.has_followed || self.phase == Phase::Connecting);
-        let follows = self.phase == Phase::Following && self.latch.permission() == Permission::Granted;
-        let obstacle = report.obstacle.filter(|_| follows);
-        let header = StateHeader {
-            speed_mm_per_s: report.speed_mm_per_s as f32,
-            gripper_position: report
-                .gripper_pulses
-                .filter(|_| self.settings.has_gripper)
-                .map_or(f32::NAN, |pulses| pulses as f32),
-            permission: self.latch.permission() as u8,
-            stop_reason: stop.map_or(0, |stop| stop.reason as u8),
-            fault_code: stop.map_or(0, |stop| stop.fault_code),
-            arm_phase: self.arm_phase() as u8,
-            hindrance: obstacle.map_or(0, |obstacle| hindrance_of(obstacle).number()),
-            start_distance_mm: if is_before { self.header.start_distance_mm } else { 0.0 },
-            ..self.header
-        };
-        let mut payload = [0.0; STATE_LENGTH];
-        if let Some(joints_rad) = report.joints_rad {
-            let pose = self.kinematics.flange_pose_m(&joints_rad);
-            let (roll, pitch, yaw) = pose.rotation.euler_angles();
-            let position_mm = pose.translation.vector * 1e3;
-            let components = joints_rad.iter().chain(&position_mm).copied().chain([roll, pitch, yaw]);
-            for (component, value) in payload.iter_mut().zip(components) {
-                *component = value as f32;
-            }
-        }
-        State { header, payload }
-    }
-
-    fn arm_phase(&self) -> ArmPhase {
-        match self.phase {
-            Phase::Connecting => ArmPhase::Connecting,
-            Phase::EnablingJoints | Phase::EnablingFlange => ArmPhase::BringingUp,
-            Phase::GoingToStart(_) => ArmPhase::GoingToStart,
-            Phase::Following => ArmPhase::Following,
-            Phase::Departing | Phase::Waiting => ArmPhase::Waiting,
-        }
-    }
-}
-
-fn reason_of(violation: LimitViolation) -> StopReason {
-    match violation {
-        LimitViolation::JointLimit { .. } => StopReason::JointLimit,
-        LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
-        LimitViolation::Creeping { .. } => StopReason::Creeping,
-        LimitViolation::OverSpeed { .. } => StopReason::OverSpeed,
-    }
-}
-
-fn hindrance_of(obstacle: Obstacle) -> Hindrance {
-    match obstacle {
-        Obstacle::WorkspaceFace { axis, is_upper } => Hindrance::WorkspaceFace { axis: axis as u8, is_upper },
-        Obstacle::JointLimit { joint } => Hindrance::JointLimit { joint: joint as u8 },
-        Obstacle::Singularity => Hindrance::Singularity,
-        Obstacle::JointSpeed => Hindrance::JointSpeed,
-    }
 }
 
 #[cfg(test)]
-#[path = "controller_tests.rs"]
 mod tests;

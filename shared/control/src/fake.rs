@@ -141,7 +141,7 @@ impl Arm for FakeArm {
         let body = self.0.borrow();
         ArmReport {
             joints_rad: Some(body.joints_rad),
-            is_commanded_to_rest: body.motion.is_commanded_to_rest(),
+            told: body.motion.velocity(),
             halted_by_watchdog: body.motion.halted_by_watchdog(),
             obstacle: body.motion.obstacle(),
             ..body.report
@@ -154,6 +154,7 @@ impl Arm for FakeArm {
             body.errors_cleared += 1;
         }
         body.report.link = Link::BringingUp;
+        body.report.is_stopped = false;
         body.report.stop = None;
         body.up_at = Some((now_ns + BRING_UP_NS, drive));
         body.motion.halt();
@@ -184,6 +185,7 @@ impl Arm for FakeArm {
     fn stop(&mut self) {
         let mut body = self.0.borrow_mut();
         body.stops += 1;
+        body.report.is_stopped = true;
         body.gripper_target_pulses = None;
         body.motion.halt();
         if body.report.link != Link::Connecting {

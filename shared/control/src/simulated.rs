@@ -33,7 +33,7 @@ impl Arm for SimulatedArm {
             speed_mm_per_s: state.linear_speed_mm_per_s,
             gripper_pulses: Some(state.gripper_position_pulses),
             is_gripper_moving: self.is_gripper_moving(),
-            is_commanded_to_rest: self.motion().is_commanded_to_rest(),
+            told: self.motion().velocity(),
             halted_by_watchdog: state.halted_by_watchdog,
             obstacle: self.motion().obstacle(),
             ..ArmReport::default()

@@ -120,9 +120,8 @@ impl Start {
         (self.joints_rad - joints_rad).amax() < ARRIVED_RAD
     }
 
-    /// The speed of the fastest joint (rad/s) in the coming step after one at `speed_rad_per_s`, and the velocities of
-    /// all in rad/s.
-    pub fn step(&self, joints_rad: &JointVector, speed_rad_per_s: f64) -> (f64, JointVector) {
+    /// The velocities of the joints in rad/s in the coming step, after one in which the fastest had `speed_rad_per_s`.
+    pub fn step(&self, joints_rad: &JointVector, speed_rad_per_s: f64) -> JointVector {
         let way = self.joints_rad - joints_rad;
         let distance = way.amax();
         let gained = speed_rad_per_s + ACCELERATION_RAD_PER_S2 * STEP_NS as f64 * 1e-9;
@@ -132,7 +131,7 @@ impl Start {
             .min(self.joint_speed_rad_per_s)
             .min(APPROACH_PER_S * distance)
             .min(self.flange_speed_mm_per_s / flange_mm.max(f64::MIN_POSITIVE));
-        (speed, direction * speed)
+        direction * speed
     }
 }
 
@@ -191,8 +190,9 @@ mod tests {
         let (mut speed, mut steps) = (0.0, 0);
         while !start.is_at(&joints_rad) {
             let before = joints_rad;
-            let (next, velocities) = start.step(&joints_rad, speed);
-            assert!(velocities.amax() <= 0.17 + 1e-9 && next - speed <= 0.5 * 4e-3 + 1e-9);
+            let velocities = start.step(&joints_rad, speed);
+            let next = velocities.amax();
+            assert!(next <= 0.17 + 1e-9 && next - speed <= 0.5 * 4e-3 + 1e-9);
             joints_rad += velocities * 4e-3;
             let [from, to] =
                 [before, joints_rad].map(|joints| start.arm.flange_pose_m(&joints).translation.vector);

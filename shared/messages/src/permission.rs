@@ -62,6 +62,8 @@ numbered! {
         UnsupportedArm = 20,
         /// The arm has not answered or reported for a while.
         ArmSilent = 21,
+        /// The flange does not move as it was told.
+        NotFollowing = 22,
     }
 }
 
@@ -96,6 +98,9 @@ impl fmt::Display for StopReason {
             StopReason::TakenOver => "another program changed the arm's mode: quit that program",
             StopReason::VelocityRefused => "the arm refused a velocity: quit other programs that use it",
             StopReason::UnsupportedArm => "the arm or its firmware is not supported: see the robot's message",
+            StopReason::NotFollowing => {
+                "the arm did not move as it was told: find out what holds, pulls or slows it"
+            }
             StopReason::ArmSilent => "the arm did not answer in time: check its network",
         })
     }

@@ -40,6 +40,14 @@ pub enum PathError {
         /// Its permission bits.
         mode: u32,
     },
+    /// Not everybody can leave files in it, or others could remove them.
+    #[error("{path} has mode {mode:04o} and needs mode 1777: remove it, or run `chmod 1777 {path}`", path = path.display())]
+    NotShared {
+        /// The folder.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+    },
     /// A link, or no directory where one is expected, or no regular file.
     #[error("{path} is a link or of another kind than expected: remove it", path = path.display())]
     WrongKind {
@@ -60,7 +68,7 @@ pub enum PathError {
 }
 
 impl PathError {
-    fn system(path: &Path, error: impl Into<std::io::Error>) -> PathError {
+    pub(crate) fn system(path: &Path, error: impl Into<std::io::Error>) -> PathError {
         PathError::System { path: path.to_owned(), source: error.into() }
     }
 }

@@ -31,13 +31,12 @@ use nix::unistd::Pid;
 use serde::Serialize;
 use tempfile::TempDir;
 use tendon_transport::SessionName;
-use tendon_xarm_emulator::{Emulator, Listen};
 
 pub use cause::{Cause, Order, Output, Phase, Plan, Victim};
 use outputs::Outputs;
 use watch::Watch;
 
-use crate::{model, program, repository};
+use crate::{EmulatedArm, model, program, repository};
 
 /// How long the arm may move after the cause.
 const STOP_LIMIT: Duration = Duration::from_millis(250);
@@ -166,7 +165,7 @@ pub fn run(seed: u64) -> Outcome {
 /// What both sessions of a trial share: an arm, a name, a place for files.
 struct Bench {
     seed: u64,
-    emulator: Arc<Emulator>,
+    emulator: Arc<EmulatedArm>,
     session: SessionName,
     /// Run-time files, lasting state and reports of the trial.
     folder: TempDir,
@@ -179,7 +178,7 @@ impl Bench {
         std::fs::DirBuilder::new().mode(0o700).create(folder.path().join("run")).unwrap();
         let bench = Bench {
             seed,
-            emulator: Arc::new(Emulator::start(Listen::anywhere()).unwrap()),
+            emulator: Arc::new(EmulatedArm::start()),
             session: session.parse().unwrap(),
             folder,
         };
@@ -189,14 +188,7 @@ impl Bench {
 
     /// The record that permits the arm to set out by itself: it was left in good order where it is.
     fn leave_record(&self) {
-        let Listen { address, control_port, .. } = self.emulator.listen;
-        let address = address.to_string().replace('.', "-");
-        let model = self.emulator.model();
-        let serial_number = &model.properties().serial_number;
-        let joints_rad = model.report().joints_rad.map(f64::from);
-        let record = self.records().join(format!("{serial_number}-{address}-{control_port}.json"));
-        std::fs::DirBuilder::new().recursive(true).mode(0o700).create(self.records()).unwrap();
-        std::fs::write(record, format!("{{\"left_in_good_order_at_joints_rad\":{joints_rad:?}}}")).unwrap();
+        self.emulator.leave_in_good_order(&self.folder.path().join("state"));
     }
 
     /// Where the records of arms are.

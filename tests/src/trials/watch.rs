@@ -6,9 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use tendon_xarm_emulator::Emulator;
-
 use super::REST_MM_PER_S;
+use crate::EmulatedArm;
 
 /// Time between two looks.
 const LOOK: Duration = Duration::from_millis(2);
@@ -22,7 +21,7 @@ pub struct Watch {
 
 impl Watch {
     /// Begins to look.
-    pub fn start(emulator: &Arc<Emulator>) -> Watch {
+    pub fn start(emulator: &Arc<EmulatedArm>) -> Watch {
         let motion = Arc::new(Mutex::new(Vec::new()));
         let ended = Arc::new(AtomicBool::new(false));
         let arm = Arc::clone(emulator);

@@ -1,0 +1,97 @@
+//! Everything that must hold while the arm is up, and what becomes of it when it does not.
+
+use tendon_arm::{LimitViolation, Told, Twist};
+use tendon_messages::{Permission, StopReason};
+
+use super::{Controller, Phase};
+use crate::arm::{ArmReport, Link, Stop};
+
+/// After so long without a word from the supervisor it is taken to hang, ns: four of its heartbeats.
+const SUPERVISOR_SILENCE_NS: u64 = 120_000_000;
+/// After so long without a sign of life from the arm it is brought to rest, ns.
+pub(super) const ARM_SILENCE_NS: u64 = 300_000_000;
+/// An arm that has given no sign of life for so long, ns, may not have heard what it was told, and rest by itself.
+const UNHEARD_NS: u64 = 50_000_000;
+/// After so long without a sign of life from the arm the connection counts as broken, ns.
+const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
+impl Controller {
+    pub(super) fn is_supervisor_silent(&self, now_ns: u64) -> bool {
+        self.settings.stale_ns.is_some()
+            && self
+                .supervisor_heard_ns
+                .is_some_and(|heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS)
+    }
+
+    /// A controller that stood still while its arm moved must not go on where it was: the arm has come to rest.
+    pub(super) fn notice_stall(&mut self, now_ns: u64) {
+        let woke_ns = self.woke_ns.replace(now_ns).unwrap_or(now_ns);
+        if self.settings.stale_ns.is_none_or(|stale_ns| now_ns.saturating_sub(woke_ns) <= stale_ns) {
+            return;
+        }
+        self.latch.break_row();
+        if let Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange = self.phase {
+            self.stop(Stop::because(StopReason::RobotStalled));
+        } else if !self.arm.is_still() {
+            self.arm.stalled();
+            self.latch.interrupt(StopReason::RobotStalled);
+        }
+    }
+
+    pub(super) fn look_at_link(&mut self, report: &ArmReport) {
+        if let Some(stop) = report.stop {
+            self.stop(stop);
+        } else if report.link == Link::Connecting {
+            self.stop(Stop::because(StopReason::ConnectionBroke));
+        }
+    }
+
+    /// Everything that must hold while the arm is up, wherever it goes.
+    pub(super) fn watch(&mut self, report: &ArmReport, now_ns: u64) {
+        if self.phase == Phase::Waiting {
+            return;
+        }
+        let is_by_itself = self.phase != Phase::Following;
+        if self.is_supervisor_silent(now_ns) {
+            if is_by_itself {
+                return self.stop(Stop::because(StopReason::SupervisorSilent));
+            }
+            self.interrupt(StopReason::SupervisorSilent);
+        }
+        let is_moving_phase = matches!(self.phase, Phase::GoingToStart(_) | Phase::Following);
+        if is_moving_phase && report.silent_ns > CONNECTION_SILENCE_NS {
+            return self.stop(Stop::because(StopReason::ConnectionBroke));
+        }
+        if is_moving_phase && report.silent_ns > ARM_SILENCE_NS {
+            if is_by_itself {
+                return self.stop(Stop::because(StopReason::ArmSilent));
+            }
+            self.interrupt(StopReason::ArmSilent);
+        }
+        if let Some(joints_rad) = report.joints_rad {
+            let velocity = match self.phase {
+                Phase::GoingToStart(told_rad_per_s) => {
+                    Twist::from_vector_m(&(self.kinematics.jacobian(&joints_rad) * told_rad_per_s))
+                }
+                _ => report.told,
+            };
+            let told = Told { velocity, may_be_unheard: report.silent_ns > UNHEARD_NS };
+            if let Err(violation) = self.guard.check(now_ns, &joints_rad, &told) {
+                return self.stop(Stop::because(reason_of(violation)));
+            }
+        }
+        // It stays so until the next command that the arm is given: a reason once, and not again and again.
+        if report.halted_by_watchdog && self.latch.permission() == Permission::Granted {
+            self.interrupt(StopReason::NoCommands);
+        }
+    }
+}
+
+fn reason_of(violation: LimitViolation) -> StopReason {
+    match violation {
+        LimitViolation::JointLimit { .. } => StopReason::JointLimit,
+        LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
+        LimitViolation::Creeping { .. } | LimitViolation::Drifted { .. } => StopReason::Creeping,
+        LimitViolation::NotFollowing { .. } => StopReason::NotFollowing,
+        LimitViolation::OverSpeed { .. } => StopReason::OverSpeed,
+    }
+}

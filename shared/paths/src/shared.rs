@@ -1,0 +1,163 @@
+//! A folder in which every user of this machine leaves notes that all others can read.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{ErrorKind, Read, Write};
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+
+use nix::dir::Dir;
+use nix::errno::Errno;
+use nix::fcntl::{OFlag, open, openat};
+use nix::sys::stat::{Mode, SFlag, fchmod, fstat};
+use nix::unistd::{UnlinkatFlags, geteuid, unlinkat};
+
+use crate::PathError;
+
+/// Longest note, bytes.
+const MAXIMUM_NOTE_LENGTH: u64 = 4096;
+
+/// A folder in which everybody can create files and nobody can change those of others (mode 1777, as `/tmp` has). A note
+/// is a file `SUBJECT.UID` that belongs to that user, or it is none.
+#[derive(Debug)]
+pub struct SharedFolder {
+    path: PathBuf,
+    folder: OwnedFd,
+}
+
+impl SharedFolder {
+    /// Opens the folder at `path`, and creates it first if it is missing.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`] if it is a link or no folder, or if users could change the files of others in it.
+    pub fn open(path: &Path) -> Result<SharedFolder, PathError> {
+        let is_new = match std::fs::create_dir(path) {
+            Ok(()) => true,
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => false,
+            Err(error) => return Err(PathError::system(path, error)),
+        };
+        let flags = OFlag::O_DIRECTORY | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
+        let folder = match open(path, flags, Mode::empty()) {
+            Err(Errno::ELOOP | Errno::ENOTDIR) => {
+                return Err(PathError::WrongKind { path: path.to_owned() });
+            }
+            opened => opened.map_err(|error| PathError::system(path, error))?,
+        };
+        if is_new {
+            // The umask has kept others out.
+            fchmod(&folder, Mode::from_bits_truncate(0o1777))
+                .map_err(|error| PathError::system(path, error))?;
+        }
+        let mode = fstat(&folder).map_err(|error| PathError::system(path, error))?.st_mode;
+        if mode & 0o7777 != 0o1777 {
+            return Err(PathError::NotShared { path: path.to_owned(), mode: mode & 0o7777 });
+        }
+        Ok(SharedFolder { path: path.to_owned(), folder })
+    }
+
+    /// Replaces this user's note on `subject`.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`] if it cannot be written.
+    pub fn leave_note(&self, subject: &str, note: &str) -> Result<(), PathError> {
+        let name = format!("{subject}.{}", geteuid());
+        let path = self.path.join(&name);
+        let failed = |error: std::io::Error| PathError::system(&path, error);
+        match unlinkat(&self.folder, name.as_str(), UnlinkatFlags::NoRemoveDir) {
+            Ok(()) | Err(Errno::ENOENT) => {}
+            Err(error) => return Err(failed(error.into())),
+        }
+        let flags = OFlag::O_WRONLY | OFlag::O_CREAT | OFlag::O_EXCL | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
+        let file = openat(&self.folder, name.as_str(), flags, Mode::from_bits_truncate(0o644));
+        let mut file = File::from(file.map_err(|error| failed(error.into()))?);
+        file.write_all(note.as_bytes()).and_then(|()| file.sync_all()).map_err(failed)
+    }
+
+    /// The notes of all users on `subject`, by user. What does not belong to the user it names is passed over.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`] if the folder or a note cannot be read.
+    pub fn notes(&self, subject: &str) -> Result<BTreeMap<u32, String>, PathError> {
+        let failed = |error: std::io::Error| PathError::system(&self.path, error);
+        let again = self.folder.try_clone().map_err(failed)?;
+        let mut entries = Dir::from_fd(again).map_err(|error| failed(error.into()))?;
+        let mut notes = BTreeMap::new();
+        for entry in entries.iter() {
+            let entry = entry.map_err(|error| failed(error.into()))?;
+            let name = entry.file_name().to_string_lossy();
+            let user = name.strip_prefix(subject).and_then(|rest| rest.strip_prefix('.')?.parse().ok());
+            if let Some(user) = user
+                && let Some(note) = self.read_note(&name, user)?
+            {
+                notes.insert(user, note);
+            }
+        }
+        Ok(notes)
+    }
+
+    fn read_note(&self, name: &str, user: u32) -> Result<Option<String>, PathError> {
+        let path = self.path.join(name);
+        let flags = OFlag::O_RDONLY | OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+        let file = match openat(&self.folder, name, flags, Mode::empty()) {
+            Err(Errno::ELOOP | Errno::ENOENT) => return Ok(None),
+            opened => File::from(opened.map_err(|error| PathError::system(&path, error))?),
+        };
+        let status = fstat(&file).map_err(|error| PathError::system(&path, error))?;
+        let is_file = status.st_mode & SFlag::S_IFMT.bits() == SFlag::S_IFREG.bits();
+        if !is_file || status.st_uid != user {
+            return Ok(None);
+        }
+        let mut note = Vec::new();
+        let read = file.take(MAXIMUM_NOTE_LENGTH).read_to_end(&mut note);
+        read.map_err(|error| PathError::system(&path, error))?;
+        Ok(Some(String::from_utf8_lossy(&note).into_owned()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt, chown, symlink};
+
+    use super::*;
+
+    #[test]
+    fn notes_are_kept_by_subject_and_user_and_only_their_users_count() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("notes");
+        let folder = SharedFolder::open(&path).unwrap();
+        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o7777, 0o1777);
+        assert!(folder.notes("arm").unwrap().is_empty());
+        folder.leave_note("arm", "one").unwrap();
+        folder.leave_note("arm-2", "other").unwrap();
+        SharedFolder::open(&path).unwrap().leave_note("arm", "two").unwrap();
+        let me = geteuid().as_raw();
+        assert_eq!(folder.notes("arm").unwrap(), BTreeMap::from([(me, "two".to_owned())]));
+        // A note in the name of somebody else, a link and a pipe are none.
+        std::fs::write(path.join("arm.4242"), "forged").unwrap();
+        symlink("/etc/passwd", path.join("arm.4243")).unwrap();
+        nix::unistd::mkfifo(&path.join("arm.4244"), Mode::S_IRWXU).unwrap();
+        assert_eq!(folder.notes("arm").unwrap().len(), 1);
+        if geteuid().is_root() {
+            chown(path.join("arm.4242"), Some(4242), None).unwrap();
+            assert_eq!(folder.notes("arm").unwrap()[&4242], "forged");
+        }
+    }
+
+    #[test]
+    fn a_folder_that_is_none_for_all_is_refused() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("notes");
+        std::fs::create_dir(&path).unwrap();
+        for mode in [0o700, 0o777] {
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+            let error = SharedFolder::open(&path).unwrap_err();
+            assert!(error.to_string().contains("mode 1777"), "{error}");
+        }
+        let link = place.path().join("link");
+        symlink(&path, &link).unwrap();
+        assert!(matches!(SharedFolder::open(&link), Err(PathError::WrongKind { .. })));
+    }
+}
