@@ -36,6 +36,9 @@ pub enum Command {
     ///   --recording-rate-hz. The session is optional, and so are start and end where the whole file is one trial.
     ///   Gestures: rest, extension, flexion, ulnar, radial, grip.
     ///
+    /// Filter, windows and rate are those of the session: dsp.filter, dsp.windows and acquisition.sample_rate_hz of
+    /// ./tendon.toml, --config and --set. With 50 Hz mains, for instance, --set dsp.filter.notch_hz=50.
+    ///
     /// Recordings that cannot be used are left out; manifest.json lists them with the reason. After an interruption, the
     /// same command continues the build.
     #[command(verbatim_doc_comment)]
@@ -60,7 +63,6 @@ pub struct BuildOptions {
     /// Sampling rate of recordings that do not state it, Hz; required with labels.csv.
     #[arg(long, value_name = "HZ")]
     recording_rate_hz: Option<f64>,
-    /// The session's configuration, of which dsp.filter, dsp.windows and acquisition.sample_rate_hz are used.
     #[command(flatten)]
     base: Base,
     /// Sampling rate of the windows, Hz; by default acquisition.sample_rate_hz of the configuration.

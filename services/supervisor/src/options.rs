@@ -24,7 +24,7 @@ pub struct Base {
     /// Configuration; without it, ./tendon.toml if there is one, else the defaults.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Change one key of the configuration, such as acquisition.channels=8; may be repeated.
+    /// Change one key of the configuration, such as dsp.filter.notch_hz=50; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
 }

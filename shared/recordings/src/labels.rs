@@ -13,6 +13,7 @@ mod problem;
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
@@ -208,8 +209,10 @@ impl LabelsOfFiles {
             let Some(Labels { line, person, session, mut labels }) = self.of_file.remove(&file) else {
                 continue;
             };
-            if !file.is_file() {
-                let reason = format!("{FILE_NAME}, line {line}, names it, but there is no such file");
+            if let Err(error) = tendon_input::open(&file) {
+                let is_missing = error.kind() == ErrorKind::NotFound;
+                let problem = if is_missing { "there is no such file".to_owned() } else { error.to_string() };
+                let reason = format!("{FILE_NAME}, line {line}, names it, but {problem}");
                 skipped.push(SkippedEntry { path: file, reason });
                 continue;
             }
