@@ -590,17 +590,6 @@ fn an_arm_that_does_not_move_as_it_is_told_is_stopped() {
 }
 
 #[test]
-fn a_joint_limit_of_the_arm_is_told() {
-    let mut rig = Rig::start(TO_AND_FRO);
-    rig.wait_for_full_speed();
-    rig.emulator.inject(Fault::Error(23));
-    assert!(rig.time_to_rest() < PATIENCE);
-    assert_eq!(rig.wait_for_reason(StopReason::ArmFault).fault_code, 23);
-    rig.assert_stays_at_rest(Duration::from_secs(1));
-    rig.end();
-}
-
-#[test]
 fn the_emergency_stop_button_needs_releasing_and_arming() {
     let mut rig = Rig::start(TO_AND_FRO);
     rig.wait_for_full_speed();
