@@ -13,16 +13,13 @@
 //! time: a session of anybody that has had the arm since makes it worthless.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use tendon_arm::JointVector;
 use tendon_control::Departure;
-use tendon_paths::{PrivateFolder, SharedFolder, state_folder};
+use tendon_paths::{PrivateFolder, SharedFolder, arm_record_folder, shared_arm_folder};
 
-/// Where the tokens of all users are. It outlasts a restart of the machine.
-const TOKENS: &str = "/var/tmp/tendon-arms";
 /// A new random name for every reader (random(4)).
 const RANDOM: &str = "/proc/sys/kernel/random/uuid";
 
@@ -50,12 +47,11 @@ impl Records {
     ///
     /// When it cannot be had, or not be trusted.
     pub fn open() -> anyhow::Result<Records> {
-        let arms = state_folder().context("no folder for the record of the arm")?.path().join("arms");
-        Records::of(&arms, Path::new(TOKENS)).context("no folder for the record of the arm")
-    }
-
-    fn of(arms: &Path, tokens: &Path) -> anyhow::Result<Records> {
-        Ok(Records { folder: PrivateFolder::open(arms)?, tokens: SharedFolder::open(tokens)? })
+        let failed = "no folder for the record of the arm";
+        Ok(Records {
+            folder: arm_record_folder().context(failed)?,
+            tokens: shared_arm_folder().context(failed)?,
+        })
     }
 
     /// Reads the record of an arm and removes it, so that nothing is left of it whatever happens next. From now on the
@@ -118,7 +114,15 @@ fn safe_name(arm: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+
+    impl Records {
+        fn of(arms: &Path, tokens: &Path) -> anyhow::Result<Records> {
+            Ok(Records { folder: PrivateFolder::open(arms)?, tokens: SharedFolder::open(tokens)? })
+        }
+    }
 
     #[test]
     fn a_record_is_there_once_and_what_is_none_of_ours_permits_nothing() {

@@ -14,6 +14,8 @@ use nix::unistd::{UnlinkatFlags, geteuid, unlinkat};
 
 use crate::PathError;
 
+/// Where all users of this machine note that they have used an arm. It outlasts a restart.
+const ARMS: &str = "/var/tmp/tendon-arms";
 /// Longest note, bytes.
 const MAXIMUM_NOTE_LENGTH: u64 = 4096;
 
@@ -23,6 +25,15 @@ const MAXIMUM_NOTE_LENGTH: u64 = 4096;
 pub struct SharedFolder {
     path: PathBuf,
     folder: OwnedFd,
+}
+
+/// The folder in which every user leaves a note about each arm that it has used.
+///
+/// # Errors
+///
+/// As [`SharedFolder::open`].
+pub fn shared_arm_folder() -> Result<SharedFolder, PathError> {
+    SharedFolder::open(Path::new(ARMS))
 }
 
 impl SharedFolder {
@@ -54,6 +65,11 @@ impl SharedFolder {
             return Err(PathError::NotShared { path: path.to_owned(), mode: mode & 0o7777 });
         }
         Ok(SharedFolder { path: path.to_owned(), folder })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Replaces this user's note on `subject`.
