@@ -311,6 +311,24 @@ fn nobody_is_scored_whom_the_model_was_trained_on() {
 }
 
 #[test]
+fn recordings_of_your_own_are_of_nobody_whom_the_models_were_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = folder.path().join("own");
+    std::fs::create_dir(&own).unwrap();
+    write_table(&own.join("monday.csv"), &[Stretch { samples: 4000, amplitudes: MOVEMENT }]);
+    std::fs::write(own.join("labels.csv"), "file,person,repetition,gesture\nmonday.csv,1,0,grip\n").unwrap();
+    let out = folder.path().join("windows");
+    let build = ["dataset", "build", "--channels", "0,1,2,3", "--recording-rate-hz", "1000", "--out"];
+    let ended = TendonBuilder::command(&unique_session(), &build).arg(&out).arg(&own).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    // The model was trained on person 1 of 3DC.
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate"]).arg(&out);
+    let ended = evaluate.arg("--model").arg(model("cnn-six-class")).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    assert!(ended.output.contains("on people 1\n"), "{ended:#?}");
+}
+
+#[test]
 fn all_three_strategies_are_scored_on_continuous_recordings() {
     let folder = tempfile::tempdir().unwrap();
     write_recording(folder.path());
