@@ -285,7 +285,7 @@ fn mat_recordings(
                 }
             },
             Ok(None) => "neither its variable iD nor a number in its name identifies the person".to_owned(),
-            Err(error) => error.to_string(),
+            Err(error) => error.below(file),
         };
         skipped.push(SkippedEntry { path: file.clone(), reason });
     }
