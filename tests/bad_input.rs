@@ -425,6 +425,10 @@ fn options_that_would_have_no_effect() {
             &["experiments", "--no-training", "--jobs", "2"],
             ["--jobs", "cannot be used with", "--no-training"],
         ),
+        (
+            &["evaluate", table, "--model", five, "--channels", "flexor,extensor"],
+            ["--channels", "flexor", "channels are numbers here, from 0"],
+        ),
         (&["run", "--pace", "full"], ["--pace", "recordings", "--replay PATH"]),
         (&["run", "--replay", table, "--keyboard"], ["--keyboard", "cannot be used with", "--replay"]),
         (&["run", "--script", "rest 6s", "--random"], ["--script", "cannot be used with", "--random"]),

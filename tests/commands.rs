@@ -53,6 +53,18 @@ fn doctor_says_what_it_found() {
     }
 }
 
+#[test]
+fn doctor_looks_at_the_folders_of_a_real_arm_only_if_there_is_one() {
+    let doctor =
+        |settings: &[&str]| TendonBuilder::command(&unique_session(), &["doctor"]).args(settings).end();
+    let ended = doctor(&["--set", "robot.backend=xarm", "--set", "robot.xarm.address=127.0.0.1"]);
+    for folder in ["records of arms", "/tendon/arms", "notes on arms", "/var/tmp/tendon-arms"] {
+        assert!(ended.output.contains(folder), "{folder}: {ended:#?}");
+    }
+    let ended = doctor(&[]);
+    assert!(!ended.output.contains("tendon-arms"), "{ended:#?}");
+}
+
 /// Asserts that the doctor takes what `settings` say as little as `tendon run` does, and says the same of it.
 fn assert_both_refuse(settings: &[&str], expected: &str) {
     let session = unique_session();

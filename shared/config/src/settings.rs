@@ -482,9 +482,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("emg.csv");
         std::fs::write(&path, "1,2,3\n2,3,4\n").unwrap();
-        let mut acquisition = AcquisitionSettings::default();
-        acquisition.replay =
-            ReplaySettings { path: Some(path), sample_rate_hz: Some(1000.0), ..Default::default() };
+        let replay = ReplaySettings { path: Some(path), sample_rate_hz: Some(1000.0), ..Default::default() };
+        let mut acquisition = AcquisitionSettings { replay, ..Default::default() };
         for refused in [acquisition.open_recording().map(drop), acquisition.check_recording()] {
             let error = refused.unwrap_err().to_string();
             assert!(error.contains("there is no channel 3: the file has 3 (channels 0 to 2)"), "{error}");
