@@ -496,9 +496,13 @@ fn tendon_stop_stops_and_tendon_arm_goes_on_after_a_rest() {
 
 #[test]
 fn a_stop_that_does_not_reach_the_arm_is_not_confirmed_and_the_report_says_what_stopped() {
-    let Rig { emulator, session, tendon, states, _membership } = Rig::start(TO_AND_FRO);
-    drop((states, _membership));
+    let Rig { emulator, session, tendon, mut states, _membership } = Rig::start(TO_AND_FRO);
     drop(emulator);
+    wait_until("the connection to break", || {
+        let state = states.receive().unwrap()?;
+        (state.header().stop_reason == StopReason::ConnectionBroke as u8).then_some(())
+    });
+    drop((states, _membership));
     let stop = TendonBuilder::command(&unique_session(), &["stop", "--session", &session.to_string()]);
     stop.end().assert_failed(1, &["not confirmed", "use its emergency stop button"]);
     tendon.signal(Signal::SIGTERM);

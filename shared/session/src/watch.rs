@@ -230,7 +230,7 @@ impl<'a> Watch<'a> {
                 return Err(SessionFailure::NotReady { who: missing.join(", "), timeout });
             }
             if begun.elapsed() > PATIENCE {
-                let doing = if missing == ["robot"] { self.what_the_arm_does() } else { "" };
+                let doing = if missing == ["robot"] { self.what_the_arm_does() } else { String::new() };
                 self.standard_error.show(&format!("waiting for {}{doing}", missing.join(", ")));
             }
         }
@@ -292,13 +292,15 @@ impl<'a> Watch<'a> {
     }
 
     /// What the robot waits for, for the line that says so.
-    fn what_the_arm_does(&self) -> &'static str {
-        let state = self.observer.newest_state();
-        match state.map(|state| ArmPhase::from_number(state.header.arm_phase)) {
-            Some(ArmPhase::GoingToStart) => ": the arm goes to its start position",
-            Some(ArmPhase::BringingUp) => ": the arm switches its motors on",
-            _ if self.config.robot.backend == Backend::Simulate => "",
-            _ => ": connecting to the arm",
+    fn what_the_arm_does(&self) -> String {
+        let header = self.observer.newest_state().map(|state| state.header).unwrap_or_default();
+        match ArmPhase::from_number(header.arm_phase) {
+            ArmPhase::GoingToStart => {
+                format!(": the arm goes to its start position, {:.0} mm away", header.start_distance_mm)
+            }
+            ArmPhase::BringingUp => ": the arm switches its motors on".to_owned(),
+            _ if self.config.robot.backend == Backend::Simulate => String::new(),
+            _ => ": connecting to the arm".to_owned(),
         }
     }
 
