@@ -10,7 +10,7 @@ use tendon_transport::{
 };
 
 use crate::options::Base;
-use crate::output::print;
+use crate::output::{counted, print};
 use crate::{Failure, checks};
 
 /// Free shared memory that a session with default settings is comfortable with, bytes.
@@ -77,8 +77,8 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
     findings.printed.map_err(Failure::running)?;
     if findings.broken > 0 {
         return Err(Failure::running(anyhow::anyhow!(
-            "{} of these keep a session from running",
-            findings.broken
+            "{} a session from running",
+            counted(findings.broken, "finding keeps", "findings keep")
         )));
     }
     Ok(())
