@@ -1,4 +1,4 @@
-//! The lasting record that an arm was left in good order, and the name by which one process owns it.
+//! The lasting record that an arm was left in good order.
 //!
 //! ```text
 //! session begins ─▶ take: read and remove ─▶ … ─▶ ends in good order ─▶ leave: write, at these joints
@@ -20,7 +20,7 @@ use tendon_arm::JointVector;
 use tendon_control::Departure;
 use tendon_paths::{PrivateFolder, SharedFolder, arm_record_folder, shared_arm_folder};
 
-/// A new random name for every reader (random(4)).
+/// A new random token for every reader (random(4)).
 const RANDOM: &str = "/proc/sys/kernel/random/uuid";
 
 /// What the file holds.
@@ -29,7 +29,6 @@ const RANDOM: &str = "/proc/sys/kernel/random/uuid";
 struct Contents {
     left_in_good_order_at_joints_rad: [f64; 7],
     /// The token of each user's newest session on the arm.
-    #[serde(default)]
     tokens: BTreeMap<u32, String>,
 }
 
@@ -63,13 +62,13 @@ impl Records {
     pub fn take(&self, arm: &str) -> anyhow::Result<Departure> {
         let arm = safe_name(arm);
         let name = format!("{arm}.json");
-        let tokens = self.tokens.notes(&arm).context("cannot see who has used the arm")?;
+        let tokens = self.tokens_of(&arm)?;
         let departure = match self.folder.read(&name) {
             Ok(None) => Departure::NoRecord,
             Ok(Some(bytes)) => match serde_json::from_slice::<Contents>(&bytes) {
-                Ok(contents) if contents.tokens != tokens => {
+                Ok(contents) if Some(&contents.tokens) != tokens.as_ref() => {
                     tracing::warn!("another session has used the arm since this user left it in good order");
-                    Departure::NoRecord
+                    Departure::UsedSince
                 }
                 Ok(contents) => {
                     Departure::LeftAt(JointVector::from(contents.left_in_good_order_at_joints_rad))
@@ -92,14 +91,24 @@ impl Records {
         Ok(departure)
     }
 
-    /// Writes that the arm was left in good order at these joint angles in rad.
+    /// The tokens of all users' newest sessions on the arm; `None` if one of them cannot be read.
+    fn tokens_of(&self, arm: &str) -> anyhow::Result<Option<BTreeMap<u32, String>>> {
+        let notes = self.tokens.notes(arm).context("cannot see who has used the arm")?;
+        if let Some(user) = notes.iter().find_map(|(user, note)| note.is_none().then_some(user)) {
+            tracing::warn!("user {user} has used the arm, but keeps others from seeing when: it will wait");
+        }
+        Ok(notes.into_iter().map(|(user, note)| Some((user, note?))).collect())
+    }
+
+    /// Writes that the arm was left in good order at these joint angles in rad. While the token of another user cannot
+    /// be read, it writes nothing: the arm then waits in the next session.
     ///
     /// # Errors
     ///
     /// When it cannot be written; the arm then waits in the next session.
     pub fn leave(&self, arm: &str, joints_rad: &JointVector) -> anyhow::Result<()> {
         let arm = safe_name(arm);
-        let tokens = self.tokens.notes(&arm).context("cannot see who has used the arm")?;
+        let Some(tokens) = self.tokens_of(&arm)? else { return Ok(()) };
         let contents = Contents { left_in_good_order_at_joints_rad: (*joints_rad).into(), tokens };
         let bytes = serde_json::to_vec(&contents).context("cannot write the record of the arm")?;
         self.folder.write(&format!("{arm}.json"), &bytes).context("cannot write the record of the arm")
@@ -137,6 +146,12 @@ mod tests {
         let file = folder.path().join("torn.json");
         std::fs::write(&file, "{\"left_in_good_order_at_joints_rad\":[0.0,").unwrap();
         assert_eq!(records.take("torn").unwrap(), Departure::Unusable);
+        std::fs::write(&file, r#"{"left_in_good_order_at_joints_rad":[0,0,0,0,0,0,0]}"#).unwrap();
+        assert_eq!(
+            records.take("torn").unwrap(),
+            Departure::Unusable,
+            "it does not say who had used the arm"
+        );
         assert!(!file.exists());
         std::os::unix::fs::symlink("/dev/null", &file).unwrap();
         assert_eq!(records.take("torn").unwrap(), Departure::Unusable, "a link is not followed");
@@ -157,11 +172,11 @@ mod tests {
         assert_eq!(mine.take("XI1305").unwrap(), Departure::LeftAt(joints_rad));
         mine.leave("XI1305", &joints_rad).unwrap();
         others.take("XI1305").unwrap();
-        assert_eq!(mine.take("XI1305").unwrap(), Departure::NoRecord);
+        assert_eq!(mine.take("XI1305").unwrap(), Departure::UsedSince);
         mine.leave("XI1305", &joints_rad).unwrap();
         // Nor does it help to remove the tokens.
         std::fs::remove_dir_all(&tokens).unwrap();
         let mine = Records::of(&place.path().join("mine"), &tokens).unwrap();
-        assert_eq!(mine.take("XI1305").unwrap(), Departure::NoRecord);
+        assert_eq!(mine.take("XI1305").unwrap(), Departure::UsedSince);
     }
 }
