@@ -53,7 +53,8 @@ impl FeatureLayout {
     }
 }
 
-/// How the windows of one person scatter about the mean of their gesture. Kept per person, so that a prior can leave people out.
+/// How the windows of one person scatter about the mean of their gesture. Kept per person, so that a prior
+/// can leave people out.
 #[derive(Clone, Debug)]
 pub struct WithinClassScatter {
     sum: DMatrix<f64>,

@@ -1,4 +1,5 @@
-//! Once constructed and fitted, a window allocates nothing. Alone in its file: the allocator counts for the whole process.
+//! Once constructed and fitted, a window allocates nothing. Alone in its file: the allocator counts for the
+//! whole process.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

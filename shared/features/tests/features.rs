@@ -34,8 +34,8 @@ fn any_number() -> impl Strategy<Value = f32> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// log(c² C) = log C + 2 ln c · 1, to 3e-5: the scaled samples are rounded to `f32` again, which
-    /// the smallest eigenvalues, a thousandth of the mean, feel most.
+    /// log(c² C) = log C + 2 ln c · 1, to 3e-5: the scaled samples are rounded to `f32` again, which the
+    /// smallest eigenvalues, a thousandth of the mean, feel most.
     #[test]
     fn another_unit_shifts_the_diagonal_alone((channels, window) in windows(-500.0_f32..500.0), power in -9..6) {
         let unit = 10_f64.powi(power);

@@ -1,4 +1,5 @@
-//! Features, shrinkage and discriminant against NumPy, SciPy and scikit-learn: `golden/make_golden.py` made the vectors.
+//! Features, shrinkage and discriminant against NumPy, SciPy and scikit-learn: `golden/make_golden.py` made
+//! the vectors.
 
 use nalgebra::DMatrix;
 use serde::Deserialize;
