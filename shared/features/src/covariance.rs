@@ -7,10 +7,11 @@
 //!  …                                   …                                    diagonal times √2
 //! ```
 //!
-//! C = Z Zᵀ / samples + (ridge · mean diagonal + floor) · 1. Its elements are amplitudes, spectra and how the channels go together.
-//! The logarithm makes them comparable across people and forces: the features are the vector of the log-Euclidean metric
-//! (Arsigny et al. 2006), whose plain distance is the distance of two covariances. Covariances of EMG: Gowda and Miller 2023,
-//! arXiv 2311.08548. The mean is not subtracted: the filter of the dsp stage has removed it.
+//! C = Z Zᵀ / samples + (ridge · mean diagonal + floor) · 1. Its elements are amplitudes, spectra and how the
+//! channels go together. The logarithm makes them comparable across people and forces: the features are the
+//! vector of the log-Euclidean metric (Arsigny et al. 2006), whose plain distance is the distance of two
+//! covariances. Covariances of EMG: Gowda and Miller 2023, arXiv 2311.08548. The mean is not subtracted: the
+//! filter of the dsp stage has removed it.
 
 use crate::eigen::{SymmetricEigen, add_scaled};
 use crate::error::FeatureError;
@@ -23,7 +24,8 @@ const CHUNK: usize = 256;
 const TILE: usize = 4;
 /// More channels than any amplifier for the forearm has.
 const LARGEST_CHANNELS: usize = 256;
-/// Smallest eigenvalue that is told from 0, as a share of the mean one: below it, `f64` has only rounding errors.
+/// Smallest eigenvalue that is told from 0, as a share of the mean one: below it, `f64` has only rounding
+/// errors.
 const SMALLEST_EIGENVALUE: f64 = 1e-15;
 
 /// Turns windows into features. Allocates in [`new`](Self::new) only.
@@ -57,12 +59,12 @@ struct Lag {
 }
 
 impl LaggedLogCovariance {
-    /// Prepares for windows of `channels` at `rate_hz`. `floor_variance` is in the square of the samples' unit, from
-    /// [`rest_floor`].
+    /// Prepares for windows of `channels` at `rate_hz`. `floor_variance` is in the square of the samples'
+    /// unit, from [`rest_floor`].
     ///
-    /// Delays are rounded to samples, and those that fall on one sample count once. Channels x delays is at most
-    /// `largest_rows`: with more channels the longest delays are left out (10 channels have three of the four default delays,
-    /// 64 channels only delay 0).
+    /// Delays are rounded to samples, and those that fall on one sample count once. Channels x delays is at
+    /// most `largest_rows`: with more channels the longest delays are left out (10 channels have three of the
+    /// four default delays, 64 channels only delay 0).
     ///
     /// # Errors
     ///
@@ -130,7 +132,8 @@ impl LaggedLogCovariance {
         self.rate_hz
     }
 
-    /// What the features' order depends on; a [`Prior`](crate::Prior) must fit it. The rates are this one only.
+    /// What the features' order depends on; a [`Prior`](crate::Prior) must fit it. The rates are this one
+    /// only.
     pub fn layout(&self) -> FeatureLayout {
         FeatureLayout {
             channels: self.channels,
@@ -145,12 +148,13 @@ impl LaggedLogCovariance {
         2 * self.longest_delay() + 1
     }
 
-    /// Computes the features of one window, channel-major, of any length from [`shortest_window`](Self::shortest_window).
+    /// Computes the features of one window, channel-major, of any length from
+    /// [`shortest_window`](Self::shortest_window).
     ///
     /// # Errors
     ///
-    /// Window or `features` have the wrong length, or a sample is not finite. `features` is then left as it was or holds
-    /// nothing of use.
+    /// Window or `features` have the wrong length, or a sample is not finite. `features` is then left as it
+    /// was or holds nothing of use.
     pub fn compute(&mut self, window: &[f32], features: &mut [f64]) -> Result<(), FeatureError> {
         if !window.len().is_multiple_of(self.channels) {
             return Err(FeatureError::Window { values: window.len(), channels: self.channels });
@@ -202,7 +206,8 @@ impl LaggedLogCovariance {
         }
     }
 
-    /// Lower triangle of Z Zᵀ: what the pairs share, and the few samples at either end that only some of them have.
+    /// Lower triangle of Z Zᵀ: what the pairs share, and the few samples at either end that only some of them
+    /// have.
     fn assemble(&mut self, window: &[f32], samples: usize) {
         let LaggedLogCovariance { channels, ref delays, ref lags, ref mut covariance, .. } = *self;
         let (rows, longest_delay) = (channels * delays.len(), self.delays.last().copied().unwrap_or(0));
@@ -225,7 +230,8 @@ impl LaggedLogCovariance {
         }
     }
 
-    /// Divides by the number of samples, adds ridge and floor, and scales the mean of the diagonal to 1. Returns this mean.
+    /// Divides by the number of samples, adds ridge and floor, and scales the mean of the diagonal to 1.
+    /// Returns this mean.
     fn regularise(&mut self, samples: usize) -> Result<f64, FeatureError> {
         let rows = self.rows();
         let trace: f64 = self.covariance.iter().step_by(rows + 1).sum();
@@ -242,7 +248,8 @@ impl LaggedLogCovariance {
         Ok(scale)
     }
 
-    /// log C = V (log Λ) Vᵀ + log(scale) · 1, of which the rows of the upper triangle go straight to the features.
+    /// log C = V (log Λ) Vᵀ + log(scale) · 1, of which the rows of the upper triangle go straight to the
+    /// features.
     fn write_logarithm(&self, log_scale: f64, features: &mut [f64]) {
         let rows = self.rows();
         features.fill(0.0);
@@ -323,7 +330,8 @@ fn products(ahead: &[f32], behind: &[f32], lag: usize, from: usize, to: usize) -
     pairs.map(|(&ahead, &behind)| f64::from(ahead) * f64::from(behind)).sum()
 }
 
-/// Sums of the products of one channel with several. Four sums each in turns, so that the compiler may use vector instructions.
+/// Sums of the products of one channel with several. Four sums each in turns, so that the compiler may use
+/// vector instructions.
 fn dots<const COUNT: usize>(ahead: &[f64], behind: [&[f64]; COUNT]) -> [f64; COUNT] {
     const LANES: usize = 4;
     let length = ahead.len();
@@ -345,9 +353,9 @@ fn dots<const COUNT: usize>(ahead: &[f64], behind: [&[f64]; COUNT]) -> [f64; COU
     sums.map(|lanes| (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]))
 }
 
-/// The floor of the covariance for one person: `rest_floor_share` of the median variance of channels in windows of rest.
-/// The median does not mind a twitch or a single loose electrode. `windows` are channel-major, in any unit; the floor is in its
-/// square.
+/// The floor of the covariance for one person: `rest_floor_share` of the median variance of channels in
+/// windows of rest. The median does not mind a twitch or a single loose electrode. `windows` are
+/// channel-major, in any unit; the floor is in its square.
 ///
 /// # Errors
 ///

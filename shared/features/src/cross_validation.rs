@@ -101,8 +101,8 @@ impl CrossValidation {
             .sum()
     }
 
-    /// The temperature in the range of the settings with the smallest log-loss. The loss is convex in 1 / temperature, so that it
-    /// has one minimum, which a golden-section search finds to 1e-6.
+    /// The temperature in the range of the settings with the smallest log-loss. The loss is convex in 1 /
+    /// temperature, so that it has one minimum, which a golden-section search finds to 1e-6.
     pub fn temperature(&self, settings: &MethodSettings) -> f64 {
         let [mut low, mut high] = settings.temperature_range.map(f64::ln);
         const RATIO: f64 = 0.618_033_988_749_894_9;
@@ -128,8 +128,10 @@ impl CrossValidation {
         confusion
     }
 
-    /// The distance to the nearest class that a share of the held-out windows stays below, e.g. 0.99: beyond it, a window is unlike
-    /// the calibration.
+    /// The distance to the nearest class that a share of the held-out windows stays below, e.g. 0.99: beyond
+    /// it, a window is unlike the calibration. Parts of one repetition are more alike than repetitions are:
+    /// on fifteen people scored in another session, 1.8 % of the windows were beyond the distance at 0.99
+    /// after four repetitions, but 21 % after one (4 % beyond 1.3 times the distance).
     pub fn distance_at(&self, share: f64) -> f64 {
         let mut distances = self.distances.clone();
         distances.sort_by(f64::total_cmp);

@@ -10,7 +10,8 @@
 //! distance of a class = |L⁻¹ (x - μ)|                                                Mahalanobis
 //! ```
 //!
-//! Subtracting m changes all scores of a window alike, so the posterior is that of the plain formula, with smaller numbers.
+//! Subtracting m changes all scores of a window alike, so the posterior is that of the plain formula, with
+//! smaller numbers.
 
 use nalgebra::{Cholesky, DMatrix};
 use serde::{Deserialize, Serialize};
@@ -44,12 +45,13 @@ pub struct Discriminant {
 }
 
 impl Discriminant {
-    /// Fits means and covariance, with a temperature of 1. Without a prior its weight is 0. Whether the prior fits the features
-    /// in more than their number is checked by [`Prior::check`].
+    /// Fits means and covariance, with a temperature of 1. Without a prior its weight is 0. Whether the prior
+    /// fits the features in more than their number is checked by [`Prior::check`].
     ///
     /// # Errors
     ///
-    /// What is wrong with the training windows or the settings; a prior of another length; windows that do not differ.
+    /// What is wrong with the training windows or the settings; a prior of another length; windows that do
+    /// not differ.
     pub fn fit(
         training: &Training,
         prior: Option<&Prior>,
@@ -80,7 +82,8 @@ impl Discriminant {
         })
     }
 
-    /// The same discriminant with another temperature, from [`CrossValidation::temperature`](crate::CrossValidation).
+    /// The same discriminant with another temperature, from
+    /// [`CrossValidation::temperature`](crate::CrossValidation).
     ///
     /// # Errors
     ///
@@ -115,7 +118,8 @@ impl Discriminant {
         self.prior_weight
     }
 
-    /// Writes the score of each class, before the temperature. Only differences between classes mean something.
+    /// Writes the score of each class, before the temperature. Only differences between classes mean
+    /// something.
     ///
     /// # Errors
     ///
@@ -152,9 +156,9 @@ impl Discriminant {
         Ok(())
     }
 
-    /// Mahalanobis distance to the nearest class: how unlike everything in the calibration the window is. About the square root of
-    /// the number of features for windows like those of the calibration. `whitened` is working memory of the length of
-    /// `features`.
+    /// Mahalanobis distance to the nearest class: how unlike everything in the calibration the window is.
+    /// About the square root of the number of features for windows like those of the calibration. `whitened`
+    /// is working memory of the length of `features`.
     ///
     /// # Errors
     ///

@@ -5,13 +5,14 @@
 //!                                            Qᵀ ──────── the same rotations ──────────▶ eigenvectors, one a row
 //! ```
 //!
-//! The method is EISPACK's `tred2` and `imtql2` (Wilkinson and Reinsch 1971), with the eigenvectors kept as rows, so that
-//! every inner loop runs over contiguous memory.
+//! The method is EISPACK's `tred2` and `imtql2` (Wilkinson and Reinsch 1971), with the eigenvectors kept as
+//! rows, so that every inner loop runs over contiguous memory.
 
 /// Steps of QL for one eigenvalue. It takes about two.
 const LARGEST_STEPS: usize = 60;
 
-/// A sum of squares below this is taken for 0: its reciprocal could overflow. The largest element of a matrix is about 1.
+/// A sum of squares below this is taken for 0: its reciprocal could overflow. The largest element of a matrix
+/// is about 1.
 const NOTHING: f64 = 1e-290;
 
 /// The working memory for one size of matrix.
@@ -41,8 +42,8 @@ impl SymmetricEigen {
         }
     }
 
-    /// Decomposes a finite symmetric matrix with elements of the order of 1, of which the lower triangle is read and overwritten. False if QL
-    /// does not converge.
+    /// Decomposes a finite symmetric matrix with elements of the order of 1, of which the lower triangle is
+    /// read and overwritten. False if QL does not converge.
     #[must_use]
     pub(crate) fn decompose(&mut self, matrix: &mut [f64]) -> bool {
         assert_eq!(matrix.len(), self.size * self.size, "the size of the working memory");
@@ -61,8 +62,8 @@ impl SymmetricEigen {
         self.vectors.chunks_exact(self.size.max(1))
     }
 
-    /// Row by row from the last, reflects what is left of the diagonal onto its last element. The vectors of the reflections
-    /// stay in the rows.
+    /// Row by row from the last, reflects what is left of the diagonal onto its last element. The vectors of
+    /// the reflections stay in the rows.
     fn make_tridiagonal(&mut self, matrix: &mut [f64]) {
         let n = self.size;
         for row in (1..n).rev() {
@@ -179,8 +180,8 @@ fn ql_step(first: usize, end: usize, diagonal: &mut [f64], beside: &mut [f64], v
     beside[end] = 0.0;
 }
 
-/// Replaces `vector` by the `v` of a reflection `1 - scale v vᵀ` that leaves its last element only. Returns that element and
-/// the scale, which is 0 if there is nothing to reflect.
+/// Replaces `vector` by the `v` of a reflection `1 - scale v vᵀ` that leaves its last element only. Returns
+/// that element and the scale, which is 0 if there is nothing to reflect.
 fn reflection(vector: &mut [f64]) -> (f64, f64) {
     let Some((last, others)) = vector.split_last_mut() else { return (0.0, 0.0) };
     let others_squared = dot(others, others);

@@ -14,8 +14,8 @@ use crate::training::Training;
 
 const FORMAT: &str = "tendon-prior";
 const VERSION: u32 = 1;
-/// Beyond this a layout is no layout but a damaged file.
-const LARGEST_FEATURE_COUNT: usize = 40_000;
+/// Beyond this many channels x delays a layout is no layout but a damaged file.
+const LARGEST_ROWS: usize = 256;
 
 /// What decides which feature is which.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,7 +41,7 @@ impl FeatureLayout {
     fn check(&self) -> Result<(), PriorError> {
         let rows = self.channels.checked_mul(self.delays_ms.len());
         let fields = [
-            ("channels", rows.is_some_and(|rows| rows > 0 && rows * rows / 2 < LARGEST_FEATURE_COUNT)),
+            ("channels", rows.is_some_and(|rows| (1..=LARGEST_ROWS).contains(&rows))),
             ("delays_ms", self.delays_ms.iter().all(|delay| delay.is_finite())),
             ("lowest_rate_hz", self.lowest_rate_hz > 0.0 && self.lowest_rate_hz <= self.highest_rate_hz),
             ("highest_rate_hz", self.highest_rate_hz.is_finite()),
@@ -53,7 +53,8 @@ impl FeatureLayout {
     }
 }
 
-/// How the windows of one person scatter about the mean of their gesture. Kept per person, so that a prior can leave people out.
+/// How the windows of one person scatter about the mean of their gesture. Kept per person, so that a prior
+/// can leave people out.
 #[derive(Clone, Debug)]
 pub struct WithinClassScatter {
     sum: DMatrix<f64>,

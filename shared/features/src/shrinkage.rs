@@ -11,12 +11,12 @@ pub struct Shrunk {
     pub shrinkage: f64,
 }
 
-/// The covariance of Ledoit and Wolf 2004 ("A well-conditioned estimator for large-dimensional covariance matrices"), which
-/// is scikit-learn's `ledoit_wolf` with `assume_centered`. `centred` is features x windows with a mean of 0 and at least one
-/// window; S is its product with its transpose over the number of windows.
+/// The covariance of Ledoit and Wolf 2004 ("A well-conditioned estimator for large-dimensional covariance
+/// matrices"), which is scikit-learn's `ledoit_wolf` with `assume_centered`. `centred` is features x windows
+/// with a mean of 0 and at least one window; S is its product with its transpose over the number of windows.
 ///
-/// With d features, n windows x_i and m = trace S / d, all norms squared Frobenius:
-/// distance = |S - m·1|², spread = Σ|x_i|⁴ / n² - |S|² / n, shrinkage = spread / distance, within 0 to 1.
+/// With d features, n windows x_i and m = trace S / d, all norms squared Frobenius: distance = |S - m·1|²,
+/// spread = Σ|x_i|⁴ / n² - |S|² / n, shrinkage = spread / distance, within 0 to 1.
 pub fn ledoit_wolf(centred: &DMatrix<f64>) -> Shrunk {
     let (features, windows) = (centred.nrows() as f64, centred.ncols() as f64);
     let mut covariance = centred * centred.transpose() / windows;

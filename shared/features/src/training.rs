@@ -11,8 +11,8 @@ use crate::error::FitError;
 pub struct Class {
     /// Its name, for messages.
     pub name: String,
-    /// How much it counts beside the others: its share of the covariance, and how often it is expected. However many windows it
-    /// has, it counts the same. Any positive number; 1 for all treats them alike.
+    /// How much it counts beside the others: its share of the covariance, and how often it is expected.
+    /// However many windows it has, it counts the same. Any positive number; 1 for all treats them alike.
     pub weight: f64,
 }
 
@@ -27,7 +27,8 @@ pub struct Training<'a> {
     pub features: &'a [f64],
     /// Index of each window's class.
     pub labels: &'a [usize],
-    /// Number of the repetition or block that each window belongs to. Windows of different blocks should share no samples.
+    /// Number of the repetition or block that each window belongs to. Windows of different blocks should
+    /// share no samples.
     pub blocks: &'a [usize],
 }
 
