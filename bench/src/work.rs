@@ -172,8 +172,14 @@ fn personal_inference(channels: usize) -> anyhow::Result<[Work; 3]> {
     }
     let classes = Gesture::ALL.map(|gesture| Class { name: gesture.name().to_owned(), weight: 1.0 });
     let labels: Vec<usize> = (0..windows.len()).map(|window| window % classes.len()).collect();
-    let training =
-        Training { classes: &classes, feature_count, features: &features, labels: &labels, blocks: &labels };
+    let training = Training {
+        classes: &classes,
+        feature_count,
+        features: &features,
+        labels: &labels,
+        increment_s: 0.075,
+        blocks: &labels,
+    };
     let discriminant = Discriminant::fit(&training, None, &settings)?;
 
     let (mut compute, mut posterior, mut distance) = (Stopwatch::new(), Stopwatch::new(), Stopwatch::new());

@@ -13,10 +13,10 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use serde::Serialize;
-use tendon_dataset::{DatasetSettings, ListingError, Recording, cut, list};
+use tendon_dataset::{DatasetSettings, Layout, ListingError, Recording, cut, list, share_recordings};
 use tendon_features::{
-    Class, CrossValidation, Discriminant, FeatureError, FitError, LaggedLogCovariance, MethodSettings, Prior,
-    PriorError, Training, WithinClassScatter, rest_floor,
+    Class, CrossValidation, Discriminant, FeatureError, FitError, GestureMeans, LaggedLogCovariance,
+    MethodSettings, Population, Prior, PriorError, Training, WithinClassScatter, rest_floor,
 };
 use tendon_gesture::Gesture;
 
@@ -34,6 +34,13 @@ pub struct PersonalSettings {
     pub method: MethodSettings,
     /// Repetitions of each gesture that calibrate: the first ones of the first session.
     pub repetitions: u32,
+}
+
+impl PersonalSettings {
+    /// Time from one window to the next.
+    fn increment_s(&self) -> f64 {
+        self.dataset.windows.increment_samples as f64 / self.dataset.sample_rate_hz
+    }
 }
 
 /// Scores of recognisers that were calibrated to each person.
@@ -116,6 +123,8 @@ struct Person {
     /// How long each window's features took, ns.
     work_ns: Vec<u64>,
     scatter: Option<WithinClassScatter>,
+    /// `None` of somebody who made a gesture only once.
+    means: Option<GestureMeans>,
 }
 
 impl Person {
@@ -175,7 +184,7 @@ pub fn score_people(
     let mut tally = Tally::new(&Gesture::ALL.map(tendon_gesture::Class::Gesture));
     let (mut scored, mut longest_fit_s) = (BTreeSet::new(), 0.0_f64);
     for (&number, person) in people.iter().filter(|(number, _)| chosen.contains(number)) {
-        let prior = prior_without(settings, &people, number)?;
+        let prior = prior_without(settings, found.layout, &people, number)?;
         let begun = Instant::now();
         match calibrate(person, settings, prior.as_ref()) {
             Ok((gestures, discriminant)) => {
@@ -254,6 +263,7 @@ fn person_of(settings: &PersonalSettings, windows: Windows) -> Result<Person, Pe
         feature_count: 0,
         work_ns: Vec::new(),
         scatter: None,
+        means: None,
     };
     let rest = person.calibration().filter(|&window| person.sources[window].gesture == Gesture::Rest);
     let rest = rest.map(|window| &samples[window * length..][..length]);
@@ -267,7 +277,14 @@ fn person_of(settings: &PersonalSettings, windows: Windows) -> Result<Person, Pe
         features.compute(samples, place)?;
         person.work_ns.push(begun.elapsed().as_nanos() as u64);
     }
-    person.scatter = scatter_of(&person)?;
+    let increment_s = settings.increment_s();
+    person.scatter = scatter_of(&person, increment_s)?;
+    let all = Labelled::of(&person, 0..person.sources.len(), increment_s);
+    person.means = match GestureMeans::new(&all.training(person.feature_count)) {
+        Ok(means) => Some(means),
+        Err(FitError::TooFewRepetitions { .. }) => None,
+        Err(error) => return Err(error.into()),
+    };
     Ok(person)
 }
 
@@ -287,22 +304,29 @@ struct Labelled {
     features: Vec<f64>,
     labels: Vec<usize>,
     blocks: Vec<usize>,
+    increment_s: f64,
 }
 
 impl Labelled {
-    fn of(person: &Person, windows: impl Iterator<Item = usize> + Clone) -> Labelled {
+    fn of(person: &Person, windows: impl Iterator<Item = usize> + Clone, increment_s: f64) -> Labelled {
         let shown: BTreeSet<Gesture> = windows.clone().map(|window| person.sources[window].gesture).collect();
         let gestures: Vec<Gesture> = shown.into_iter().collect();
         let class = |gesture: &Gesture| Class { name: gesture.name().to_owned(), weight: 1.0 };
         let classes = gestures.iter().map(class).collect();
-        let mut labelled =
-            Labelled { gestures, classes, features: Vec::new(), labels: Vec::new(), blocks: Vec::new() };
+        let mut labelled = Labelled {
+            gestures,
+            classes,
+            features: Vec::new(),
+            labels: Vec::new(),
+            blocks: Vec::new(),
+            increment_s,
+        };
         for window in windows {
-            let Source { gesture, repetition, .. } = person.sources[window];
+            let Source { gesture, repetition_of_all, .. } = person.sources[window];
             labelled.features.extend_from_slice(person.features_of(window));
             let label = labelled.gestures.iter().position(|own| *own == gesture);
             labelled.labels.push(label.expect("every gesture of the windows has been listed"));
-            labelled.blocks.push(repetition as usize);
+            labelled.blocks.push(repetition_of_all.into());
         }
         labelled
     }
@@ -313,17 +337,18 @@ impl Labelled {
             feature_count,
             features: &self.features,
             labels: &self.labels,
+            increment_s: self.increment_s,
             blocks: &self.blocks,
         }
     }
 }
 
 /// How the windows of a person scatter within each gesture of a session.
-fn scatter_of(person: &Person) -> Result<Option<WithinClassScatter>, FitError> {
+fn scatter_of(person: &Person, increment_s: f64) -> Result<Option<WithinClassScatter>, FitError> {
     let mut total: Option<WithinClassScatter> = None;
     for session in 0..person.sessions.len() {
         let windows = (0..person.sources.len()).filter(|&window| person.sources[window].session == session);
-        let labelled = Labelled::of(person, windows);
+        let labelled = Labelled::of(person, windows, increment_s);
         let scatter = WithinClassScatter::new(&labelled.training(person.feature_count))?;
         match &mut total {
             Some(total) => total.add(&scatter)?,
@@ -336,18 +361,25 @@ fn scatter_of(person: &Person) -> Result<Option<WithinClassScatter>, FitError> {
 /// What everybody but `person` has in common; `None` if there are too few of them.
 fn prior_without(
     settings: &PersonalSettings,
+    layout: Layout,
     people: &BTreeMap<u16, Person>,
     person: u16,
 ) -> Result<Option<Prior>, PersonalError> {
     let PersonalSettings { dataset, method, .. } = settings;
     let features = LaggedLogCovariance::new(method, dataset.channels.len(), dataset.sample_rate_hz, 1.0)?;
-    let names: Vec<String> = people.keys().map(ToString::to_string).collect();
-    let others = people.iter().zip(&names).filter(|((number, _), _)| **number != person);
-    let others = others.filter_map(|((_, other), name)| Some((name.as_str(), other.scatter.as_ref()?)));
-    match Prior::pool(features.layout(), others) {
-        Ok(prior) => Ok(Some(prior)),
-        Err(PriorError::TooFewWindows { .. }) => Ok(None),
-        Err(error) => Err(error.into()),
+    let others: Vec<(String, &Person)> = people
+        .iter()
+        .filter(|(number, _)| !share_recordings(layout, person, **number))
+        .map(|(number, other)| (number.to_string(), other))
+        .collect();
+    let scatters = others.iter().filter_map(|(name, other)| Some((name.as_str(), other.scatter.as_ref()?)));
+    let prior = match Prior::pool(features.layout(), scatters) {
+        Err(PriorError::TooFewWindows { .. }) => return Ok(None),
+        pooled => pooled?,
+    };
+    match Population::pool(others.iter().filter_map(|(_, other)| other.means.as_ref())) {
+        Err(PriorError::TooFewPeople(_)) => Ok(Some(prior)),
+        population => Ok(Some(prior.with_population(population?)?)),
     }
 }
 
@@ -357,7 +389,7 @@ fn calibrate(
     prior: Option<&Prior>,
 ) -> Result<(Vec<Gesture>, Discriminant), FitError> {
     let windows: Vec<usize> = person.calibration().collect();
-    let labelled = Labelled::of(person, windows.iter().copied());
+    let labelled = Labelled::of(person, windows.iter().copied(), settings.increment_s());
     let training = labelled.training(person.feature_count);
     let discriminant = Discriminant::fit(&training, prior, &settings.method)?;
     let temperature = match CrossValidation::new(&training, prior, &settings.method) {

@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let settings = MethodSettings::default();
     for channels in [4, 8, 10, 64] {
         let mut random = 1_u32;
-        let mut window = |class: usize| -> Vec<f32> {
+        let window = |class: usize| -> Vec<f32> {
             let mut value = move || {
                 random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 (random >> 8) as f32 / (1 << 24) as f32 - 0.5
@@ -45,6 +45,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             feature_count,
             features: &features,
             labels: &labels,
+            increment_s: 0.075,
             blocks: &blocks,
         };
         let start = Instant::now();

@@ -7,6 +7,8 @@
 //!  …                                   …                                    diagonal times √2
 //! ```
 //!
+//! A window is divided into pieces of equal length, of about `piece_ms`. Its features are the mean of theirs.
+//!
 //! C = Z Zᵀ / samples + (ridge · mean diagonal + floor) · 1. Its elements are amplitudes, spectra and how the
 //! channels go together. The logarithm makes them comparable across people and forces: the features are the
 //! vector of the log-Euclidean metric (Arsigny et al. 2006), whose plain distance is the distance of two
@@ -36,6 +38,7 @@ pub struct LaggedLogCovariance {
     delays_ms: Vec<f64>,
     /// In samples, ascending from 0.
     delays: Vec<usize>,
+    piece_samples: f64,
     ridge: f64,
     floor_variance: f64,
     lags: Vec<Lag>,
@@ -103,6 +106,7 @@ impl LaggedLogCovariance {
             delays_ms,
             lags: lags(&delays, channels),
             delays,
+            piece_samples: settings.piece_ms * rate_hz / 1000.0,
             ridge: settings.ridge,
             floor_variance,
             chunk: vec![0.0; channels * (longest + CHUNK)],
@@ -166,13 +170,40 @@ impl LaggedLogCovariance {
         if features.len() != self.feature_count() {
             return Err(FeatureError::Length { given: features.len(), needed: self.feature_count() });
         }
-        self.multiply(window, samples);
-        self.assemble(window, samples);
-        let scale = self.regularise(samples - self.longest_delay())?;
+        features.fill(0.0);
+        let pieces = self.pieces(samples);
+        for piece in 0..pieces {
+            let piece = Piece {
+                window,
+                window_samples: samples,
+                start: piece * samples / pieces,
+                end: (piece + 1) * samples / pieces,
+            };
+            self.add_piece(&piece, 1.0 / pieces as f64, features)?;
+        }
+        let (rows, mut at) = (self.rows(), 0);
+        for row in 0..rows {
+            features[at + 1..at + rows - row].iter_mut().for_each(|value| *value *= std::f64::consts::SQRT_2);
+            at += rows - row;
+        }
+        Ok(())
+    }
+
+    /// Into how many pieces a window is divided; each is as long as the delays need.
+    fn pieces(&self, samples: usize) -> usize {
+        let wanted = (samples as f64 / self.piece_samples).round() as usize;
+        wanted.min(samples / self.shortest_window()).max(1)
+    }
+
+    /// Adds the logarithm of a piece's covariance, times `share`.
+    fn add_piece(&mut self, piece: &Piece, share: f64, features: &mut [f64]) -> Result<(), FeatureError> {
+        self.multiply(piece);
+        self.assemble(piece);
+        let scale = self.regularise(piece.samples() - self.longest_delay())?;
         if !self.eigen.decompose(&mut self.covariance) {
             return Err(FeatureError::NoConvergence);
         }
-        self.write_logarithm(scale.ln(), features);
+        self.add_logarithm(scale.ln(), share, features);
         Ok(())
     }
 
@@ -181,14 +212,16 @@ impl LaggedLogCovariance {
     }
 
     /// Sums the products that the pairs of delays of each lag share.
-    fn multiply(&mut self, window: &[f32], samples: usize) {
+    fn multiply(&mut self, piece: &Piece) {
+        let samples = piece.samples();
         let longest_delay = self.longest_delay();
         let stride = longest_delay + CHUNK;
         self.lags.iter_mut().for_each(|lag| lag.products.fill(0.0));
         for start in (0..samples).step_by(CHUNK) {
             let end = (start + CHUNK).min(samples);
             let history = longest_delay.min(start);
-            for (chunk, channel) in self.chunk.chunks_exact_mut(stride).zip(window.chunks_exact(samples)) {
+            for (channel, chunk) in self.chunk.chunks_exact_mut(stride).enumerate() {
+                let channel = piece.channel(channel);
                 for (value, &sample) in
                     chunk[longest_delay - history..].iter_mut().zip(&channel[start - history..end])
                 {
@@ -208,7 +241,8 @@ impl LaggedLogCovariance {
 
     /// Lower triangle of Z Zᵀ: what the pairs share, and the few samples at either end that only some of them
     /// have.
-    fn assemble(&mut self, window: &[f32], samples: usize) {
+    fn assemble(&mut self, piece: &Piece) {
+        let samples = piece.samples();
         let LaggedLogCovariance { channels, ref delays, ref lags, ref mut covariance, .. } = *self;
         let (rows, longest_delay) = (channels * delays.len(), self.delays.last().copied().unwrap_or(0));
         for lag in lags {
@@ -217,9 +251,9 @@ impl LaggedLogCovariance {
                 let delay = delays[short];
                 for a in 0..channels {
                     let lowest = if lag.samples == 0 { a } else { 0 };
-                    let ahead = &window[a * samples..(a + 1) * samples];
+                    let ahead = piece.channel(a);
                     for b in lowest..channels {
-                        let behind = &window[b * samples..(b + 1) * samples];
+                        let behind = piece.channel(b);
                         let sum = lag.products[a * channels + b]
                             + products(ahead, behind, lag.samples, longest_delay - delay, from)
                             + products(ahead, behind, lag.samples, to, samples - delay);
@@ -250,11 +284,10 @@ impl LaggedLogCovariance {
 
     /// log C = V (log Λ) Vᵀ + log(scale) · 1, of which the rows of the upper triangle go straight to the
     /// features.
-    fn write_logarithm(&self, log_scale: f64, features: &mut [f64]) {
+    fn add_logarithm(&self, log_scale: f64, share: f64, features: &mut [f64]) {
         let rows = self.rows();
-        features.fill(0.0);
         for (value, vector) in self.eigen.values().iter().zip(self.eigen.vectors()) {
-            let log = value.max(SMALLEST_EIGENVALUE).ln();
+            let log = share * value.max(SMALLEST_EIGENVALUE).ln();
             let mut at = 0;
             for row in 0..rows {
                 let length = rows - row;
@@ -264,10 +297,29 @@ impl LaggedLogCovariance {
         }
         let mut at = 0;
         for row in 0..rows {
-            features[at] += log_scale;
-            features[at + 1..at + rows - row].iter_mut().for_each(|value| *value *= std::f64::consts::SQRT_2);
+            features[at] += share * log_scale;
             at += rows - row;
         }
+    }
+}
+
+/// A part of a window in time, of all channels.
+struct Piece<'a> {
+    window: &'a [f32],
+    window_samples: usize,
+    /// Of each channel.
+    start: usize,
+    end: usize,
+}
+
+impl Piece<'_> {
+    fn samples(&self) -> usize {
+        self.end - self.start
+    }
+
+    fn channel(&self, channel: usize) -> &[f32] {
+        let first = channel * self.window_samples;
+        &self.window[first + self.start..first + self.end]
     }
 }
 

@@ -1,9 +1,9 @@
 //! The linear discriminant of one person.
 //!
 //! ```text
-//! class means μ ───────────────────────────────┐
-//! own covariance, shrunk ── 1 - prior_weight ──┤
-//! other people's covariance ── prior_weight ───┴─▶ S = L Lᵀ
+//! class means μ, drawn towards other people's ──┐
+//! own covariance, shrunk ── 1 - w ──────────────┤
+//! other people's covariance ── w ───────────────┴─▶ S = L Lᵀ           w = prior_s / (prior_s + time of the windows)
 //!
 //! score of a class    = (x - m)ᵀ S⁻¹ (μ - m) - ½ (μ - m)ᵀ S⁻¹ (μ - m) + ln share          m: mean of the means
 //! posterior           = softmax(scores / temperature)
@@ -61,23 +61,29 @@ impl Discriminant {
         training.check()?;
         training.check_counts(settings.fewest_windows)?;
         let shares = training.shares();
-        let means = training.means();
+        let mut means = training.means();
         let Shrunk { mut covariance, shrinkage } = own_covariance(training, &means, &shares);
+        let own_s = training.len() as f64 * training.increment_s;
+        let prior_weight = if prior.is_some() { settings.prior_s / (settings.prior_s + own_s) } else { 0.0 };
         if let Some(prior) = prior {
             let (given, needed) = (prior.covariance().nrows(), training.feature_count);
             if given != needed {
                 return Err(FitError::Length { what: "features of the prior", given, needed });
             }
-            covariance *= 1.0 - settings.prior_weight;
+            covariance *= 1.0 - prior_weight;
             for (value, prior) in covariance.iter_mut().zip(prior.covariance().iter()) {
-                *value += settings.prior_weight * prior;
+                *value += prior_weight * prior;
+            }
+            if let Some(population) = prior.population() {
+                let names: Vec<&str> = training.classes.iter().map(|class| class.name.as_str()).collect();
+                population.draw(&names, &mut means, training.repetitions())?;
             }
         }
         let cholesky = Cholesky::new(covariance).ok_or(FitError::Singular)?;
         Ok(Discriminant {
             temperature: 1.0,
             shrinkage,
-            prior_weight: if prior.is_some() { settings.prior_weight } else { 0.0 },
+            prior_weight,
             ..of_means(training, &means, &shares, &cholesky)?
         })
     }

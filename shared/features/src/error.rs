@@ -148,6 +148,15 @@ pub enum FitError {
     /// The temperature is not a positive number.
     #[error("a temperature of {0}: give a positive number, 1 for the scores as they are")]
     Temperature(f64),
+    /// The time between windows is no time.
+    #[error("the time from one window to the next is {0} s: give a finite number above 0")]
+    Increment(f64),
+    /// A class of which there is only one repetition.
+    #[error("{class} was made in one repetition only: two or more are needed to tell how they differ")]
+    TooFewRepetitions {
+        /// Name of the class.
+        class: String,
+    },
     /// The covariance has no inverse: all windows of each class are alike.
     #[error("the windows of each class do not differ from each other: check that the signal is not flat")]
     Singular,
@@ -228,6 +237,9 @@ pub enum PriorError {
         /// Features of a window.
         length: usize,
     },
+    /// Too few people to say how people differ.
+    #[error("{0} people are too few for a prior: two or more are needed")]
+    TooFewPeople(usize),
     /// What was recorded of other people does not fit.
     #[error(transparent)]
     Training(#[from] FitError),

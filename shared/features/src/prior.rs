@@ -1,8 +1,9 @@
 //! What ships from other people: how features scatter within a gesture, whoever makes it.
 //!
 //! ```text
-//! {"format":"tendon-prior","version":1,"layout":{…},"people":["1",…],"windows":60000,"crc32":…}\n
-//! covariance, lower triangle row by row, f32, little-endian
+//! {"format":"tendon-prior","version":1,"layout":{…},"people":["1",…],"windows":60000,"classes":[…],"crc32":…}\n
+//! f32, little-endian: covariance (lower triangle row by row), and with classes: their offsets, one after the other,
+//! the covariance between people and that between repetitions
 //! ```
 
 use nalgebra::DMatrix;
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::covariance::LaggedLogCovariance;
 use crate::error::{FitError, PriorError};
+use crate::population::Population;
 use crate::training::Training;
 
 const FORMAT: &str = "tendon-prior";
@@ -96,6 +98,7 @@ pub struct Prior {
     people: Vec<String>,
     windows: usize,
     covariance: DMatrix<f64>,
+    population: Option<Population>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -105,6 +108,8 @@ struct Header {
     layout: FeatureLayout,
     people: Vec<String>,
     windows: usize,
+    /// Those of the population; empty without one.
+    classes: Vec<String>,
     crc32: u32,
 }
 
@@ -137,7 +142,25 @@ impl Prior {
         if windows <= length {
             return Err(PriorError::TooFewWindows { windows, length });
         }
-        Ok(Prior { layout, people: names, windows, covariance: sum / windows as f64 })
+        Ok(Prior { layout, people: names, windows, covariance: sum / windows as f64, population: None })
+    }
+
+    /// The same prior with what the same people's gestures have in common.
+    ///
+    /// # Errors
+    ///
+    /// A population of other features.
+    pub fn with_population(self, population: Population) -> Result<Prior, PriorError> {
+        let (given, needed) = (population.offsets.nrows(), self.layout.feature_count());
+        if given != needed {
+            return Err(FitError::Length { what: "features of the population", given, needed }.into());
+        }
+        Ok(Prior { population: Some(population), ..self })
+    }
+
+    /// What the people's gestures have in common, if it is known.
+    pub fn population(&self) -> Option<&Population> {
+        self.population.as_ref()
     }
 
     /// Refuses features that the prior was not made for.
@@ -181,28 +204,32 @@ impl Prior {
         &self.covariance
     }
 
-    /// The prior as the bytes of a file: a line of JSON, then the lower triangle as `f32`.
+    /// The prior as the bytes of a file: a line of JSON, then numbers as `f32`.
     ///
     /// # Errors
     ///
     /// The header cannot be written as JSON.
     pub fn to_bytes(&self) -> Result<Vec<u8>, PriorError> {
-        let length = self.covariance.nrows();
-        let triangle: Vec<u8> = (0..length)
-            .flat_map(|row| (0..=row).map(move |column| (row, column)))
-            .flat_map(|at| (self.covariance[at] as f32).to_le_bytes())
-            .collect();
+        let mut numbers = Vec::new();
+        write_triangle(&self.covariance, &mut numbers);
+        if let Some(population) = &self.population {
+            numbers.extend(population.offsets.iter().flat_map(|value| (*value as f32).to_le_bytes()));
+            write_triangle(&population.between_people, &mut numbers);
+            write_triangle(&population.between_repetitions, &mut numbers);
+        }
+        let classes = self.population.as_ref().map(|population| population.classes.clone());
         let header = Header {
             format: FORMAT.to_owned(),
             version: VERSION,
             layout: self.layout.clone(),
             people: self.people.clone(),
             windows: self.windows,
-            crc32: crc32fast::hash(&triangle),
+            classes: classes.unwrap_or_default(),
+            crc32: crc32fast::hash(&numbers),
         };
         let mut bytes = serde_json::to_vec(&header).map_err(PriorError::Header)?;
         bytes.push(b'\n');
-        bytes.extend_from_slice(&triangle);
+        bytes.extend_from_slice(&numbers);
         Ok(bytes)
     }
 
@@ -213,7 +240,7 @@ impl Prior {
     /// The bytes are no prior, are of another version, were cut short, or are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Result<Prior, PriorError> {
         let line = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
-        let (line, triangle) = (&bytes[..line], bytes.get(line + 1..).unwrap_or(&[]));
+        let (line, numbers) = (&bytes[..line], bytes.get(line + 1..).unwrap_or(&[]));
         let Version { format, version } = serde_json::from_slice(line).map_err(PriorError::Header)?;
         if format != FORMAT {
             return Err(PriorError::Format(format));
@@ -222,26 +249,56 @@ impl Prior {
             return Err(PriorError::Version { found: version, expected: VERSION });
         }
         let header: Header = serde_json::from_slice(line).map_err(PriorError::Header)?;
-        header.layout.check()?;
-        let length = header.layout.feature_count();
-        let expected = length * (length + 1) / 2 * size_of::<f32>();
-        if triangle.len() != expected {
-            return Err(PriorError::Size { found: triangle.len(), expected });
+        let Header { layout, people, windows, classes: names, crc32, .. } = header;
+        layout.check()?;
+        let length = layout.feature_count();
+        let triangle = length * (length + 1) / 2;
+        let classes = names.len();
+        // No file is so long that this wraps around: its length is compared next.
+        let of_population = if classes == 0 { 0 } else { classes.saturating_mul(length) + 2 * triangle };
+        let expected = (triangle.saturating_add(of_population)).saturating_mul(size_of::<f32>());
+        if numbers.len() != expected {
+            return Err(PriorError::Size { found: numbers.len(), expected });
         }
-        if crc32fast::hash(triangle) != header.crc32 {
+        if crc32fast::hash(numbers) != crc32 {
             return Err(PriorError::Checksum);
         }
-        let mut covariance = DMatrix::zeros(length, length);
-        let places = (0..length).flat_map(|row| (0..=row).map(move |column| (row, column)));
-        for ((row, column), bytes) in places.zip(triangle.as_chunks::<4>().0) {
-            let value = f64::from(f32::from_le_bytes(*bytes));
-            covariance[(row, column)] = value;
-            covariance[(column, row)] = value;
-        }
-        let finite = covariance.iter().all(|value| value.is_finite());
-        if !finite || !covariance.diagonal().iter().all(|variance| *variance > 0.0) {
-            return Err(PriorError::NotPositive);
-        }
-        Ok(Prior { layout: header.layout, people: header.people, windows: header.windows, covariance })
+        let mut values = numbers.as_chunks::<4>().0.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes)));
+        let covariance = read_triangle(length, &mut values)?;
+        let population = if classes == 0 {
+            None
+        } else {
+            let offsets = DMatrix::from_iterator(length, classes, values.by_ref().take(classes * length));
+            if !offsets.iter().all(|value| value.is_finite()) {
+                return Err(PriorError::NotPositive);
+            }
+            Some(Population {
+                classes: names,
+                offsets,
+                between_people: read_triangle(length, &mut values)?,
+                between_repetitions: read_triangle(length, &mut values)?,
+            })
+        };
+        Ok(Prior { layout, people, windows, covariance, population })
     }
+}
+
+/// Appends the lower triangle, row by row.
+fn write_triangle(matrix: &DMatrix<f64>, bytes: &mut Vec<u8>) {
+    let places = (0..matrix.nrows()).flat_map(|row| (0..=row).map(move |column| (row, column)));
+    bytes.extend(places.flat_map(|at| (matrix[at] as f32).to_le_bytes()));
+}
+
+fn read_triangle(length: usize, values: &mut impl Iterator<Item = f64>) -> Result<DMatrix<f64>, PriorError> {
+    let mut covariance = DMatrix::zeros(length, length);
+    let places = (0..length).flat_map(|row| (0..=row).map(move |column| (row, column)));
+    for ((row, column), value) in places.zip(values) {
+        covariance[(row, column)] = value;
+        covariance[(column, row)] = value;
+    }
+    let finite = covariance.iter().all(|value| value.is_finite());
+    if !finite || !covariance.diagonal().iter().all(|variance| *variance > 0.0) {
+        return Err(PriorError::NotPositive);
+    }
+    Ok(covariance)
 }

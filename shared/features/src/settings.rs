@@ -19,8 +19,11 @@ pub struct MethodSettings {
     /// Share of the person's rest variance that is added to the diagonal, see
     /// [`rest_floor`](crate::rest_floor).
     pub rest_floor_share: f64,
-    /// Weight of other people's covariance in the discriminant's, from 0 to 1.
-    pub prior_weight: f64,
+    /// Length of the pieces, in ms, of whose features a window's are the mean. A gesture varies in strength within a window:
+    /// the covariance of the whole would be that of its strongest part.
+    pub piece_ms: f64,
+    /// Other people's covariance counts as much as so many seconds of the person's own windows. 0: not at all.
+    pub prior_s: f64,
     /// Smallest and largest temperature of the posterior. Parts of one repetition are so alike that holding
     /// them out asks for no temperature at all, so the smallest one has to keep the posterior honest. On
     /// fifteen people scored in another session (four channels, 300 ms, with prior), the log-loss was least
@@ -37,7 +40,8 @@ impl Default for MethodSettings {
             largest_rows: 32,
             ridge: 0.001,
             rest_floor_share: 0.002,
-            prior_weight: 0.3,
+            piece_ms: 75.0,
+            prior_s: 9.0,
             temperature_range: [8.0, 1000.0],
             fewest_windows: 5,
         }
@@ -66,7 +70,8 @@ impl MethodSettings {
                 self.rest_floor_share > 0.0 && self.rest_floor_share <= 1.0,
                 "above 0 and at most 1",
             ),
-            ("prior_weight", self.prior_weight, (0.0..=1.0).contains(&self.prior_weight), "0 to 1"),
+            ("piece_ms", self.piece_ms, (1.0..=10_000.0).contains(&self.piece_ms), "1 to 10000"),
+            ("prior_s", self.prior_s, (0.0..=1e6).contains(&self.prior_s), "0 to a million"),
             (
                 "temperature_range[0]",
                 coldest,
@@ -95,7 +100,7 @@ mod tests {
     #[test]
     fn values_out_of_range_are_named() {
         type Change = fn(&mut MethodSettings);
-        let cases: [(&str, Change); 10] = [
+        let cases: [(&str, Change); 11] = [
             ("delays_ms", |settings| settings.delays_ms = vec![]),
             ("delays_ms", |settings| settings.delays_ms = vec![1.0]),
             ("delays_ms", |settings| settings.delays_ms = vec![0.0, 2.0, 1.0]),
@@ -103,7 +108,8 @@ mod tests {
             ("largest_rows", |settings| settings.largest_rows = 0),
             ("ridge", |settings| settings.ridge = -1.0),
             ("rest_floor_share", |settings| settings.rest_floor_share = 0.0),
-            ("prior_weight", |settings| settings.prior_weight = f64::NAN),
+            ("piece_ms", |settings| settings.piece_ms = 0.0),
+            ("prior_s", |settings| settings.prior_s = f64::NAN),
             ("temperature_range", |settings| settings.temperature_range = [2.0, 1.0]),
             ("fewest_windows", |settings| settings.fewest_windows = 1),
         ];

@@ -1,5 +1,7 @@
 //! Windows of known gestures, from which a discriminant is fitted.
 
+use std::collections::BTreeSet;
+
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +29,8 @@ pub struct Training<'a> {
     pub features: &'a [f64],
     /// Index of each window's class.
     pub labels: &'a [usize],
+    /// Time from one window to the next, s: how much the windows count beside other people's.
+    pub increment_s: f64,
     /// Number of the repetition or block that each window belongs to. Windows of different blocks should
     /// share no samples.
     pub blocks: &'a [usize],
@@ -45,12 +49,15 @@ impl<'a> Training<'a> {
 
     /// Checks everything but the number of windows.
     pub(crate) fn check(&self) -> Result<(), FitError> {
-        let Training { classes, feature_count, features, labels, blocks } = *self;
+        let Training { classes, feature_count, features, labels, increment_s, blocks } = *self;
         if classes.len() < 2 {
             return Err(FitError::TooFewClasses(classes.len()));
         }
         if let Some(class) = classes.iter().find(|class| !(class.weight.is_normal() && class.weight > 0.0)) {
             return Err(FitError::Weight { class: class.name.clone(), weight: class.weight });
+        }
+        if !(increment_s.is_finite() && increment_s > 0.0) {
+            return Err(FitError::Increment(increment_s));
         }
         let fits = feature_count > 0
             && features.len().checked_div(feature_count) == Some(labels.len())
@@ -89,6 +96,11 @@ impl<'a> Training<'a> {
             }
             None => Ok(()),
         }
+    }
+
+    /// Number of repetitions or blocks.
+    pub(crate) fn repetitions(&self) -> usize {
+        self.blocks.iter().collect::<BTreeSet<_>>().len()
     }
 
     /// The weight of each class, with a sum of 1.

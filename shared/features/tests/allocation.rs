@@ -57,6 +57,7 @@ fn a_window_allocates_nothing() {
             feature_count,
             features: &features,
             labels: &labels,
+            increment_s: 0.075,
             blocks: &labels,
         };
         let discriminant = Discriminant::fit(&training, None, &settings).expect("a fit");

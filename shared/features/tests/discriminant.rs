@@ -41,6 +41,7 @@ impl Session {
             feature_count: 3,
             features: &self.features,
             labels: &self.labels,
+            increment_s: 0.075,
             blocks: &self.blocks,
         }
     }

@@ -72,13 +72,14 @@ proptest! {
         }
     }
 
-    /// Without delays, the order of the samples does not matter.
+    /// Without delays, the order of the samples in a piece does not matter.
     #[test]
     fn samples_in_another_order_have_the_same_features((channels, window) in windows(-500.0_f32..500.0), turn in 1_usize..12) {
         let samples = window.len() / channels;
         let mut turned = window.clone();
         turned.chunks_exact_mut(samples).for_each(|channel| channel.rotate_left(turn));
-        let settings = MethodSettings { delays_ms: vec![0.0], ..MethodSettings::default() };
+        let settings =
+            MethodSettings { delays_ms: vec![0.0], piece_ms: 10_000.0, ..MethodSettings::default() };
         let mut covariance = LaggedLogCovariance::new(&settings, channels, 2000.0, 0.5).expect("valid");
         let mut first = vec![0.0; covariance.feature_count()];
         let mut second = first.clone();

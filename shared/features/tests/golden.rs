@@ -4,8 +4,8 @@
 use nalgebra::DMatrix;
 use serde::Deserialize;
 use tendon_features::{
-    Class, CrossValidation, Discriminant, FeatureLayout, LaggedLogCovariance, MethodSettings, Prior,
-    Training, WithinClassScatter, ledoit_wolf,
+    Class, CrossValidation, Discriminant, FeatureLayout, GestureMeans, LaggedLogCovariance, MethodSettings,
+    Population, Prior, Training, WithinClassScatter, ledoit_wolf,
 };
 
 #[derive(Deserialize)]
@@ -43,12 +43,22 @@ struct Discriminants {
     others: Vec<f64>,
     scored: Vec<f64>,
     temperature: f64,
+    increment_s: f64,
+    people: Vec<Person>,
     fits: Vec<Fit>,
 }
 
 #[derive(Deserialize)]
+struct Person {
+    features: Vec<f64>,
+    labels: Vec<usize>,
+    blocks: Vec<usize>,
+}
+
+#[derive(Deserialize)]
 struct Fit {
-    prior_weight: f64,
+    prior_s: f64,
+    has_population: bool,
     shrinkage: f64,
     posteriors: Vec<f64>,
     distances: Vec<f64>,
@@ -113,6 +123,7 @@ fn discriminants_are_those_of_numpy() {
         feature_count: golden.feature_count,
         features: &golden.features,
         labels: &golden.labels,
+        increment_s: golden.increment_s,
         blocks: &golden.blocks,
     };
     let windows = vec![0; golden.others.len() / golden.feature_count];
@@ -122,15 +133,25 @@ fn discriminants_are_those_of_numpy() {
     let layout =
         FeatureLayout { channels: 3, delays_ms: vec![0.0], lowest_rate_hz: 1000.0, highest_rate_hz: 1000.0 };
     let prior = Prior::pool(layout, [("others", &scatter)]).expect("a prior");
+    let people: Vec<GestureMeans> = golden
+        .people
+        .iter()
+        .map(|Person { features, labels, blocks }| {
+            GestureMeans::new(&Training { features, labels, blocks, ..training }).expect("means")
+        })
+        .collect();
+    let population = Population::pool(&people).expect("a population");
+    let with_population = prior.clone().with_population(population).expect("of the same features");
 
     for fit in golden.fits {
         let settings = MethodSettings {
-            prior_weight: fit.prior_weight,
+            prior_s: fit.prior_s,
             temperature_range: [0.01, 1000.0],
             ..MethodSettings::default()
         };
-        let prior = (fit.prior_weight > 0.0).then_some(&prior);
-        let what = format!("prior {}", fit.prior_weight);
+        let prior = if fit.has_population { &with_population } else { &prior };
+        let prior = (fit.prior_s > 0.0).then_some(prior);
+        let what = format!("prior {} s, population {}", fit.prior_s, fit.has_population);
         let discriminant = Discriminant::fit(&training, prior, &settings)
             .and_then(|discriminant| discriminant.with_temperature(golden.temperature))
             .expect("a fit");
