@@ -19,14 +19,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let settings = MethodSettings::default();
     for channels in [4, 8, 10, 64] {
         let mut random = 1_u32;
-        let window = |class: usize| -> Vec<f32> {
-            let mut value = move || {
-                random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (random >> 8) as f32 / (1 << 24) as f32 - 0.5
-            };
+        let mut window = |class: usize| -> Vec<f32> {
             let samples = channels * SAMPLES;
-            let noise: Vec<f32> = std::iter::repeat_with(&mut value).take(samples + 3).collect();
-            let gain = move |at: usize| if at / SAMPLES % CLASSES == class { 200.0 } else { 50.0 };
+            let mut noise = vec![0.0_f32; samples + 3];
+            for value in &mut noise {
+                random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                *value = (random >> 8) as f32 / (1 << 24) as f32 - 0.5;
+            }
+            let gain = |at: usize| if at / SAMPLES % CLASSES == class { 200.0 } else { 50.0 };
             (0..samples).map(|at| gain(at) * noise[at..at + 4].iter().sum::<f32>()).collect()
         };
         let mut covariance = LaggedLogCovariance::new(&settings, channels, 2000.0, 1.0)?;
