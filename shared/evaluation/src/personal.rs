@@ -56,7 +56,7 @@ pub struct PersonalScores {
     pub calibrated_on: String,
     /// What was scored, in words.
     pub scored_on: String,
-    /// Other people whose recordings made the prior of each person.
+    /// Other people whose recordings made the prior; of the person with the fewest.
     pub prior_people: usize,
     /// Time to fit one person, s: the longest.
     pub longest_fit_s: f64,
@@ -182,12 +182,13 @@ pub fn score_people(
         }
     }
     let mut tally = Tally::new(&Gesture::ALL.map(tendon_gesture::Class::Gesture));
-    let (mut scored, mut longest_fit_s) = (BTreeSet::new(), 0.0_f64);
+    let (mut scored, mut longest_fit_s, mut fewest_others) = (BTreeSet::new(), 0.0_f64, people.len());
     for (&number, person) in people.iter().filter(|(number, _)| chosen.contains(number)) {
         let prior = prior_without(settings, found.layout, &people, number)?;
         let begun = Instant::now();
         match calibrate(person, settings, prior.as_ref()) {
             Ok((gestures, discriminant)) => {
+                fewest_others = fewest_others.min(prior.as_ref().map_or(0, |prior| prior.people().len()));
                 longest_fit_s = longest_fit_s.max(begun.elapsed().as_secs_f64());
                 score(person, number, &gestures, &discriminant, &mut tally)?;
                 scored.insert(number);
@@ -207,7 +208,7 @@ pub fn score_people(
             settings.repetitions
         ),
         scored_on: "each person's last session, or what is left of an only one".to_owned(),
-        prior_people: people.len().saturating_sub(1),
+        prior_people: fewest_others,
         people: scored,
         longest_fit_s,
         skipped,
@@ -395,7 +396,7 @@ fn calibrate(
     let temperature = match CrossValidation::new(&training, prior, &settings.method) {
         Ok(validation) => validation.temperature(&settings.method),
         // A single repetition cannot be held out.
-        Err(FitError::CannotHoldOut { .. }) => 1.0,
+        Err(FitError::CannotHoldOut { .. }) => settings.method.temperature_range[0],
         Err(error) => return Err(error),
     };
     Ok((labelled.gestures, discriminant.with_temperature(temperature)?))
