@@ -390,7 +390,7 @@ fn options_that_would_have_no_effect() {
     let from_file = ["run", "--set", "acquisition.source=replay", "--set", "acquisition.replay.path=emg.csv"];
     let scripted = [&from_file[..], &["--script", "rest 6s"]].concat();
     let build = ["dataset", "build", table, "--out", "windows"];
-    let cases: [(&[&str], [&str; 3]); 13] = [
+    let cases: [(&[&str], [&str; 3]); 14] = [
         (&replay, ["--seed", "--replay", "leave one of the two out"]),
         (&scripted, ["--script", "acquisition.source is \"replay\"", "leave --script out"]),
         (
@@ -424,6 +424,10 @@ fn options_that_would_have_no_effect() {
         (
             &["experiments", "--no-training", "--jobs", "2"],
             ["--jobs", "cannot be used with", "--no-training"],
+        ),
+        (
+            &["evaluate", table, "--model", five, "--channels", "flexor,extensor"],
+            ["--channels", "flexor", "channels are numbers here, from 0"],
         ),
         (&["run", "--pace", "full"], ["--pace", "recordings", "--replay PATH"]),
         (&["run", "--replay", table, "--keyboard"], ["--keyboard", "cannot be used with", "--replay"]),

@@ -53,6 +53,18 @@ fn doctor_says_what_it_found() {
     }
 }
 
+#[test]
+fn doctor_looks_at_the_folders_of_a_real_arm_only_if_there_is_one() {
+    let doctor =
+        |settings: &[&str]| TendonBuilder::command(&unique_session(), &["doctor"]).args(settings).end();
+    let ended = doctor(&["--set", "robot.backend=xarm", "--set", "robot.xarm.address=127.0.0.1"]);
+    for folder in ["records of arms", "/tendon/arms", "notes on arms", "/var/tmp/tendon-arms"] {
+        assert!(ended.output.contains(folder), "{folder}: {ended:#?}");
+    }
+    let ended = doctor(&[]);
+    assert!(!ended.output.contains("tendon-arms"), "{ended:#?}");
+}
+
 /// Asserts that the doctor takes what `settings` say as little as `tendon run` does, and says the same of it.
 fn assert_both_refuse(settings: &[&str], expected: &str) {
     let session = unique_session();
@@ -308,6 +320,24 @@ fn nobody_is_scored_whom_the_model_was_trained_on() {
     let ended = evaluate.arg(&trial).arg("--model").arg(model("cnn-six-class")).end();
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
     assert!(ended.output.contains("on people 7"), "{ended:#?}");
+}
+
+#[test]
+fn recordings_of_your_own_are_of_nobody_whom_the_models_were_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = folder.path().join("own");
+    std::fs::create_dir(&own).unwrap();
+    write_table(&own.join("monday.csv"), &[Stretch { samples: 4000, amplitudes: MOVEMENT }]);
+    std::fs::write(own.join("labels.csv"), "file,person,repetition,gesture\nmonday.csv,1,0,grip\n").unwrap();
+    let out = folder.path().join("windows");
+    let build = ["dataset", "build", "--channels", "0,1,2,3", "--recording-rate-hz", "1000", "--out"];
+    let ended = TendonBuilder::command(&unique_session(), &build).arg(&out).arg(&own).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    // The model was trained on person 1 of 3DC.
+    let evaluate = TendonBuilder::command(&unique_session(), &["evaluate"]).arg(&out);
+    let ended = evaluate.arg("--model").arg(model("cnn-six-class")).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    assert!(ended.output.contains("on people 1\n"), "{ended:#?}");
 }
 
 #[test]

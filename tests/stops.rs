@@ -442,7 +442,7 @@ fn a_session_of_somebody_else_in_between_makes_the_arm_wait() {
     let own = OwnArm { state_home: own_state, ..other };
     assert!(own.record().exists());
     let mut rig = Rig::on(own, TO_AND_FRO);
-    rig.wait_for_reason(StopReason::NotLeftInGoodOrder);
+    rig.wait_for_reason(StopReason::UsedSince);
     rig.assert_stays_at_rest(Duration::from_secs(2));
     rig.end();
 }
@@ -492,6 +492,23 @@ fn tendon_stop_stops_and_tendon_arm_goes_on_after_a_rest() {
     rig.order("arm");
     rig.wait_for_full_speed();
     rig.end();
+}
+
+#[test]
+fn a_stop_that_does_not_reach_the_arm_is_not_confirmed_and_the_report_says_what_stopped() {
+    let Rig { emulator, session, tendon, mut states, _membership } = Rig::start(TO_AND_FRO);
+    drop(emulator);
+    wait_until("the connection to break", || {
+        let state = states.receive().unwrap()?;
+        (state.header().stop_reason == StopReason::ConnectionBroke as u8).then_some(())
+    });
+    drop((states, _membership));
+    let stop = TendonBuilder::command(&unique_session(), &["stop", "--session", &session.to_string()]);
+    stop.end().assert_failed(1, &["not confirmed", "use its emergency stop button"]);
+    tendon.signal(Signal::SIGTERM);
+    let events = tendon.end().report().events;
+    let is_told = |text: &str| events.iter().any(|event| event.text.starts_with(text));
+    assert!(is_told("the arm is stopped: the connection to the arm broke"), "{events:?}");
 }
 
 #[test]
@@ -627,7 +644,7 @@ fn an_arm_that_is_not_there_is_named_with_what_to_do() {
     let builder = Rig::builder(&emulator, &session, HOLD);
     let port = emulator.listen.control_port.to_string();
     drop(emulator);
-    builder.end().assert_failed(2, &["xArm7 at 127.0.0.1", &port, "check its cable and power"]);
+    builder.end().assert_failed(2, &["no arm answers at 127.0.0.1", &port, "check address, cable and power"]);
 }
 
 /// The bar: within 250 ms in 100 of 100 kills, as after a hang and a cut.

@@ -69,7 +69,7 @@ fn main() -> ExitCode {
             delivery,
             sample_rate_hz: config.acquisition.sample_rate_hz,
             is_introduced: false,
-            has_departed: false,
+            has_taken_record: false,
             askers: Vec::new(),
         };
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
@@ -139,7 +139,7 @@ struct Robot {
     /// Whether the supervisor knows that the arm is ready.
     is_introduced: bool,
     /// Whether the record of how the arm was left was read and removed.
-    has_departed: bool,
+    has_taken_record: bool,
     /// Who waits for what comes of an order to arm.
     askers: Vec<Asker>,
 }
@@ -188,6 +188,9 @@ impl Robot {
                     tick_ns = (tick_ns + period_ns).max(now_ns());
                 }
                 Wake::Deadline => process.measurements.publish_if_due()?,
+            }
+            if let Some(violation) = self.controller.take_violation() {
+                tracing::warn!("the arm is stopped: {violation}");
             }
         };
         let left = self.leave(process);
@@ -240,7 +243,7 @@ impl Robot {
     ///
     /// When it cannot be removed, or when the arm is driven by another session that knows it by another address.
     fn take_record(&mut self) -> anyhow::Result<Departure> {
-        self.has_departed = true;
+        self.has_taken_record = true;
         let Some(owned) = &mut self.owned else { return Ok(Departure::NoRecord) };
         let key = self.controller.key();
         owned.claims.push(claim(&format!("the arm {key}"), &format!("serial-{key}"))?);
@@ -251,14 +254,13 @@ impl Robot {
         match order {
             Order::Alive => self.controller.hear_supervisor(now_ns()),
             Order::Stop => {
-                self.controller.order_stop();
+                let answer = self.controller.order_stop();
                 if let Some(asker) = process.control.take_asker() {
-                    let text = "the arm is stopped: `tendon arm` permits motion again";
-                    process.control.answer(&asker, text);
+                    process.control.answer(&asker, answer.text());
                 }
             }
             Order::Arm => {
-                if !self.has_departed && self.controller.is_connected() {
+                if !self.has_taken_record && self.controller.is_connected() {
                     self.take_record()?;
                 }
                 self.askers.extend(process.control.take_asker());
@@ -339,9 +341,7 @@ impl Robot {
         if let Some(fault) = tendon_xarm::Fault::new(tendon_xarm::Source::Controller, stop.fault_code) {
             return fault.to_string();
         }
-        use StopReason::{NotReady, TakenOver, UnsupportedArm, VelocityRefused};
-        let is_the_arms = matches!(stop.reason, NotReady | TakenOver | UnsupportedArm | VelocityRefused);
-        self.controller.explanation().filter(|_| is_the_arms).unwrap_or_else(|| stop.reason.to_string())
+        self.controller.explanation(stop.reason).unwrap_or_else(|| stop.reason.to_string())
     }
 
     fn publish_state(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {

@@ -1,4 +1,4 @@
-//! The lasting record that an arm was left in good order, and the name by which one process owns it.
+//! The lasting record that an arm was left in good order.
 //!
 //! ```text
 //! session begins ─▶ take: read and remove ─▶ … ─▶ ends in good order ─▶ leave: write, at these joints
@@ -13,17 +13,14 @@
 //! time: a session of anybody that has had the arm since makes it worthless.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use tendon_arm::JointVector;
 use tendon_control::Departure;
-use tendon_paths::{PrivateFolder, SharedFolder, state_folder};
+use tendon_paths::{PrivateFolder, SharedFolder, arm_record_folder, shared_arm_folder};
 
-/// Where the tokens of all users are. It outlasts a restart of the machine.
-const TOKENS: &str = "/var/tmp/tendon-arms";
-/// A new random name for every reader (random(4)).
+/// A new random token for every reader (random(4)).
 const RANDOM: &str = "/proc/sys/kernel/random/uuid";
 
 /// What the file holds.
@@ -32,7 +29,6 @@ const RANDOM: &str = "/proc/sys/kernel/random/uuid";
 struct Contents {
     left_in_good_order_at_joints_rad: [f64; 7],
     /// The token of each user's newest session on the arm.
-    #[serde(default)]
     tokens: BTreeMap<u32, String>,
 }
 
@@ -50,12 +46,11 @@ impl Records {
     ///
     /// When it cannot be had, or not be trusted.
     pub fn open() -> anyhow::Result<Records> {
-        let arms = state_folder().context("no folder for the record of the arm")?.path().join("arms");
-        Records::of(&arms, Path::new(TOKENS)).context("no folder for the record of the arm")
-    }
-
-    fn of(arms: &Path, tokens: &Path) -> anyhow::Result<Records> {
-        Ok(Records { folder: PrivateFolder::open(arms)?, tokens: SharedFolder::open(tokens)? })
+        let failed = "no folder for the record of the arm";
+        Ok(Records {
+            folder: arm_record_folder().context(failed)?,
+            tokens: shared_arm_folder().context(failed)?,
+        })
     }
 
     /// Reads the record of an arm and removes it, so that nothing is left of it whatever happens next. From now on the
@@ -67,13 +62,13 @@ impl Records {
     pub fn take(&self, arm: &str) -> anyhow::Result<Departure> {
         let arm = safe_name(arm);
         let name = format!("{arm}.json");
-        let tokens = self.tokens.notes(&arm).context("cannot see who has used the arm")?;
+        let tokens = self.tokens_of(&arm)?;
         let departure = match self.folder.read(&name) {
             Ok(None) => Departure::NoRecord,
             Ok(Some(bytes)) => match serde_json::from_slice::<Contents>(&bytes) {
-                Ok(contents) if contents.tokens != tokens => {
+                Ok(contents) if Some(&contents.tokens) != tokens.as_ref() => {
                     tracing::warn!("another session has used the arm since this user left it in good order");
-                    Departure::NoRecord
+                    Departure::UsedSince
                 }
                 Ok(contents) => {
                     Departure::LeftAt(JointVector::from(contents.left_in_good_order_at_joints_rad))
@@ -96,14 +91,24 @@ impl Records {
         Ok(departure)
     }
 
-    /// Writes that the arm was left in good order at these joint angles in rad.
+    /// The tokens of all users' newest sessions on the arm; `None` if one of them cannot be read.
+    fn tokens_of(&self, arm: &str) -> anyhow::Result<Option<BTreeMap<u32, String>>> {
+        let notes = self.tokens.notes(arm).context("cannot see who has used the arm")?;
+        if let Some(user) = notes.iter().find_map(|(user, note)| note.is_none().then_some(user)) {
+            tracing::warn!("user {user} has used the arm, but keeps others from seeing when: it will wait");
+        }
+        Ok(notes.into_iter().map(|(user, note)| Some((user, note?))).collect())
+    }
+
+    /// Writes that the arm was left in good order at these joint angles in rad. While the token of another user cannot
+    /// be read, it writes nothing: the arm then waits in the next session.
     ///
     /// # Errors
     ///
     /// When it cannot be written; the arm then waits in the next session.
     pub fn leave(&self, arm: &str, joints_rad: &JointVector) -> anyhow::Result<()> {
         let arm = safe_name(arm);
-        let tokens = self.tokens.notes(&arm).context("cannot see who has used the arm")?;
+        let Some(tokens) = self.tokens_of(&arm)? else { return Ok(()) };
         let contents = Contents { left_in_good_order_at_joints_rad: (*joints_rad).into(), tokens };
         let bytes = serde_json::to_vec(&contents).context("cannot write the record of the arm")?;
         self.folder.write(&format!("{arm}.json"), &bytes).context("cannot write the record of the arm")
@@ -118,7 +123,15 @@ fn safe_name(arm: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+
+    impl Records {
+        fn of(arms: &Path, tokens: &Path) -> anyhow::Result<Records> {
+            Ok(Records { folder: PrivateFolder::open(arms)?, tokens: SharedFolder::open(tokens)? })
+        }
+    }
 
     #[test]
     fn a_record_is_there_once_and_what_is_none_of_ours_permits_nothing() {
@@ -133,6 +146,12 @@ mod tests {
         let file = folder.path().join("torn.json");
         std::fs::write(&file, "{\"left_in_good_order_at_joints_rad\":[0.0,").unwrap();
         assert_eq!(records.take("torn").unwrap(), Departure::Unusable);
+        std::fs::write(&file, r#"{"left_in_good_order_at_joints_rad":[0,0,0,0,0,0,0]}"#).unwrap();
+        assert_eq!(
+            records.take("torn").unwrap(),
+            Departure::Unusable,
+            "it does not say who had used the arm"
+        );
         assert!(!file.exists());
         std::os::unix::fs::symlink("/dev/null", &file).unwrap();
         assert_eq!(records.take("torn").unwrap(), Departure::Unusable, "a link is not followed");
@@ -153,11 +172,11 @@ mod tests {
         assert_eq!(mine.take("XI1305").unwrap(), Departure::LeftAt(joints_rad));
         mine.leave("XI1305", &joints_rad).unwrap();
         others.take("XI1305").unwrap();
-        assert_eq!(mine.take("XI1305").unwrap(), Departure::NoRecord);
+        assert_eq!(mine.take("XI1305").unwrap(), Departure::UsedSince);
         mine.leave("XI1305", &joints_rad).unwrap();
         // Nor does it help to remove the tokens.
         std::fs::remove_dir_all(&tokens).unwrap();
         let mine = Records::of(&place.path().join("mine"), &tokens).unwrap();
-        assert_eq!(mine.take("XI1305").unwrap(), Departure::NoRecord);
+        assert_eq!(mine.take("XI1305").unwrap(), Departure::UsedSince);
     }
 }

@@ -146,7 +146,7 @@ impl XArm {
     }
 
     /// Sends where the ramp to the velocity of the coming step is now, after a command received at `received_ns`.
-    fn answer(&mut self, received_ns: u64, joints_rad: &JointVector) {
+    fn send_at_once(&mut self, received_ns: u64, joints_rad: &JointVector) {
         let passed = received_ns.saturating_sub(self.stepped_ns) as f64 / STEP_NS as f64;
         let twist = self.motion.foresee(self.stepped_ns, joints_rad, passed.min(1.0));
         if twist == Twist::ZERO {
@@ -201,7 +201,12 @@ impl Arm for XArm {
     }
 
     fn explanation(&self) -> Option<String> {
-        self.status.halt.map(|halt| halt.to_string())
+        match self.status.halt {
+            None | Some(Halt::ConnectionBroke) if self.status.identity.is_none() => {
+                Some(format!("no arm answers at {}: check address, cable and power", self.control))
+            }
+            halt => halt.map(|halt| halt.to_string()),
+        }
     }
 
     fn joint_limits(&self) -> JointLimits {
@@ -273,7 +278,7 @@ impl Arm for XArm {
     fn command(&mut self, twist: Twist, now_ns: u64) -> Result<(), NonFiniteTwist> {
         let outcome = self.motion.command(twist, now_ns);
         if let Some(joints_rad) = self.joints_rad().filter(|_| self.is_following()) {
-            self.answer(now_ns, &joints_rad);
+            self.send_at_once(now_ns, &joints_rad);
         }
         outcome
     }

@@ -14,8 +14,8 @@ use tendon_recordings::Channel;
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
-use crate::options::Base;
-use crate::output::{print, tell};
+use crate::options::{Base, channel};
+use crate::output::{counted, print, tell};
 use crate::progress::Progress;
 use crate::provenance::PROGRAM;
 
@@ -58,7 +58,7 @@ pub struct BuildOptions {
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
     /// Channels of the recordings, in the order the windows shall have.
-    #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
+    #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
     channels: Vec<usize>,
     /// Sampling rate of recordings that do not state it, Hz; required with labels.csv.
     #[arg(long, value_name = "HZ")]
@@ -207,11 +207,11 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
 
 fn text(options: &BuildOptions, manifest: &Manifest, duration: Option<Duration>) -> String {
     let mut text = format!(
-        "{}: {} windows of {} people, {} recordings; {} left out (manifest.json says why)\n",
+        "{}: {} windows of {}, {}; {} left out (manifest.json says why)\n",
         options.out.display(),
         manifest.windows,
-        manifest.windows_per_person.len(),
-        manifest.recordings.len(),
+        counted(manifest.windows_per_person.len(), "person", "people"),
+        counted(manifest.recordings.len(), "recording", "recordings"),
         manifest.skipped.len()
     );
     text += &format!(

@@ -1,15 +1,16 @@
 //! `tendon doctor`: what this machine offers a session, and how to mend what is wrong.
 
 use clap::Args;
-use tendon_config::{Config, Realtime, SchedulingSettings};
+use tendon_config::{Backend, Config, Realtime, SchedulingSettings};
 use tendon_messages::Stage;
+use tendon_paths::PrivateFolder;
 use tendon_process::Policy;
 use tendon_transport::{
     Leftovers, Removed, SessionLock, SessionLockError, SessionName, shared_memory_directory,
 };
 
 use crate::options::Base;
-use crate::output::print;
+use crate::output::{counted, print};
 use crate::{Failure, checks};
 
 /// Free shared memory that a session with default settings is comfortable with, bytes.
@@ -67,7 +68,7 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
     let mut findings = Findings { broken: 0, printed: Ok(()) };
     programs(&mut findings);
     let config = configuration(&mut findings, &options.base);
-    folders(&mut findings);
+    folders(&mut findings, &config);
     findings.add_checked("source", checks::source(&config));
     findings.add_checked("model and runtime", checks::models(&config));
     shared_memory(&mut findings, &config);
@@ -76,8 +77,8 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
     findings.printed.map_err(Failure::running)?;
     if findings.broken > 0 {
         return Err(Failure::running(anyhow::anyhow!(
-            "{} of these keep a session from running",
-            findings.broken
+            "{} a session from running",
+            counted(findings.broken, "finding keeps", "findings keep")
         )));
     }
     Ok(())
@@ -104,14 +105,20 @@ fn configuration(findings: &mut Findings, base: &Base) -> Config {
     }
 }
 
-fn folders(findings: &mut Findings) {
-    for (what, folder) in
-        [("run-time folder", tendon_paths::runtime_folder()), ("state folder", tendon_paths::state_folder())]
-    {
-        match folder {
-            Ok(folder) => findings.add(Weight::Good, what, &folder.path().display().to_string()),
-            Err(error) => findings.add(Weight::Broken, what, &format!("{:#}", anyhow::Error::from(error))),
-        }
+/// The folders that a session needs: with a real arm, also those of how arms were left.
+fn folders(findings: &mut Findings, config: &Config) {
+    let private = |folder: PrivateFolder| folder.path().to_owned();
+    let mut folders = vec![
+        ("run-time folder", tendon_paths::runtime_folder().map(private)),
+        ("state folder", tendon_paths::state_folder().map(private)),
+    ];
+    if config.robot.backend == Backend::XArm {
+        folders.push(("records of arms", tendon_paths::arm_record_folder().map(private)));
+        let shared = tendon_paths::shared_arm_folder().map(|folder| folder.path().to_owned());
+        folders.push(("notes on arms", shared));
+    }
+    for (what, folder) in folders {
+        findings.add_checked(what, folder.map(|path| path.display().to_string()).map_err(Into::into));
     }
 }
 

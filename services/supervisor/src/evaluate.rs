@@ -16,7 +16,7 @@ use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
 
 use crate::Failure;
-use crate::options::Base;
+use crate::options::{Base, channel};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
@@ -51,7 +51,7 @@ pub struct Options {
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<u16>,
     /// Channels of the recordings, in the order the model expects [default: 0,3,5,8]. A data set has its own.
-    #[arg(long, value_name = "C,…", value_delimiter = ',')]
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
     channels: Option<Vec<usize>>,
     /// ONNX Runtime's shared library. By default ORT_DYLIB_PATH, then what scripts/fetch-onnxruntime fetched.
     #[arg(long, value_name = "FILE")]

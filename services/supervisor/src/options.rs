@@ -8,7 +8,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
@@ -126,7 +126,7 @@ pub struct Options {
     /// The ONNX model of rest and move, with --strategy two_stage.
     #[arg(long, value_name = "FILE")]
     rest_move_model: Option<PathBuf>,
-    /// Real-time scheduling: where the rights allow it, or else fail, or never.
+    /// Real-time scheduling.
     #[arg(long, value_enum)]
     realtime: Option<Realtime>,
 }
@@ -298,6 +298,15 @@ fn finish(mut config: Config) -> anyhow::Result<Config> {
     Ok(config)
 }
 
+/// Number of a channel.
+///
+/// # Errors
+///
+/// When it is none.
+pub fn channel(text: &str) -> anyhow::Result<usize> {
+    text.trim().parse().map_err(|_| anyhow!("channels are numbers here, from 0"))
+}
+
 /// A time to wait or to run, such as `20s`.
 ///
 /// # Errors
@@ -312,6 +321,12 @@ pub fn duration(text: &str) -> anyhow::Result<Duration> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_channel_is_a_number_and_the_refusal_says_so() {
+        assert_eq!(channel("0").unwrap(), 0);
+        assert_eq!(format!("{:#}", channel("flexor").unwrap_err()), "channels are numbers here, from 0");
+    }
 
     #[test]
     fn a_duration_is_longer_than_0() {

@@ -27,7 +27,8 @@ pub fn give(options: &Options, order: Order) -> Result<(), Failure> {
         OrderError::Find(_) => Failure::input(error),
         OrderError::NoAnswer(_) | OrderError::Socket { .. } => Failure::running(error),
     })?;
-    if answer.starts_with("not armed") {
+    // See `StopAnswer` and `ArmAnswer` of the robot.
+    if answer.starts_with("not armed") || answer.starts_with("not confirmed") {
         return Err(Failure::running(anyhow::anyhow!(answer)));
     }
     print(answer).map_err(Failure::running)?;

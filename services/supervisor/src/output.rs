@@ -52,6 +52,11 @@ pub fn left_out(skipped: &[String], things: &str) -> String {
     lines.join("\n")
 }
 
+/// A number of things: `1 person`, `2 people`.
+pub fn counted(number: usize, one: &str, several: &str) -> String {
+    format!("{number} {}", if number == 1 { one } else { several })
+}
+
 /// Checks, before a command starts, a file that it is to write in the end, and says so if one is there that it will
 /// replace.
 ///

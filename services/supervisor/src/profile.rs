@@ -10,6 +10,7 @@ use tendon_output::{check_distinct, collect};
 use tendon_recordings::{Channel, RecordingSettings, RecordingSource, three_dc};
 
 use crate::Failure;
+use crate::options::channel;
 use crate::output::{checked, print, tell};
 
 /// Commands of `tendon profile`.
@@ -29,7 +30,7 @@ pub struct FitOptions {
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Channels of the recordings to simulate, in this order.
-    #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
+    #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
     channels: Vec<usize>,
     /// Where the recordings come from, as a note in the profile.
     #[arg(long, default_value = "fitted from recordings")]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Context;
+use anyhow::anyhow;
 use tendon_classifier::{ModelFiles, TrainedOn, trained_on};
 use tendon_config::{Config, Source};
 use tendon_provenance::{Program, Provenance};
@@ -46,8 +46,8 @@ pub fn models(config: &Config) -> anyhow::Result<(ModelFiles, Vec<TrainedOn>)> {
     )?;
     let mut trained = Vec::new();
     for model in models.paths() {
-        trained.push(trained_on(model).with_context(|| {
-            format!("cannot open {}: check the path and its permissions", model.display())
+        trained.push(trained_on(model).map_err(|error| {
+            anyhow!("cannot open {}: {error}; check the path and its permissions", model.display())
         })?);
     }
     Ok((models, trained))

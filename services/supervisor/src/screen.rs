@@ -5,7 +5,7 @@ use std::time::Duration;
 use tendon_gesture::Gesture;
 use tendon_messages::{ArmPhase, Hindrance, Permission, Stage, StateHeader, StopReason};
 use tendon_observer::State;
-use tendon_xarm::Fault;
+use tendon_session::{is_found_waiting, stop_words};
 
 /// What the keys do, for the person at them.
 pub const KEYS: &str = "keys: space STOP, a arm again, q quit";
@@ -62,18 +62,26 @@ fn troubled(standstill: Option<&str>) -> String {
 
 /// Why the arm does not move, or not as it should; empty if it does.
 fn standing(header: &StateHeader, standstill: Option<&str>) -> String {
-    let reason = match (Fault::new(tendon_xarm::Source::Controller, header.fault_code), header.stop_reason) {
-        (Some(fault), _) => fault.to_string(),
-        (None, number) => StopReason::from_number(number).map_or(String::new(), |reason| reason.to_string()),
-    };
+    let reason = stop_words(header).unwrap_or_default();
+    let distance_mm = header.start_distance_mm;
     let calibration_left_s = header.calibration_left_ms.div_ceil(1000);
     let trouble = troubled(standstill);
     match (Permission::from_number(header.permission), Hindrance::from_number(header.hindrance)) {
         (Permission::Stopped, _) if header.arm_phase == ArmPhase::BringingUp.number() => {
             format!("the arm switches its motors on  {trouble}")
         }
+        (Permission::Stopped, _) if header.arm_phase == ArmPhase::GoingToStart.number() => {
+            format!("the arm goes to its start position, {distance_mm:.0} mm away  {trouble}")
+        }
+        (Permission::Stopped, _) if header.stop_reason == StopReason::StartIsFar.number() => format!(
+            "ARM WAITS (the start position is {distance_mm:.0} mm away): look around, then `tendon arm` or key a \
+             sends the arm there  {trouble}"
+        ),
+        (Permission::Stopped, _) if is_found_waiting(header) => {
+            format!("ARM WAITS ({reason}); to begin: `tendon arm` or key a  {trouble}")
+        }
         (Permission::Stopped, _) => {
-            format!("ARM STOPPED ({reason}): `tendon arm` or key a goes on  {trouble}")
+            format!("ARM STOPPED ({reason}); to go on: `tendon arm` or key a  {trouble}")
         }
         // It would wait for a rest in vain.
         (Permission::AwaitRest, _) if standstill.is_some() => format!("ARM RESTS  {trouble}"),
@@ -108,6 +116,18 @@ mod tests {
         assert!(line(stopped).starts_with("ARM STOPPED ("), "{}", line(stopped));
         let comes_up = StateHeader { arm_phase: ArmPhase::BringingUp.number(), stop_reason: 0, ..stopped };
         assert!(line(comes_up).starts_with("the arm switches its motors on"));
+        let goes =
+            StateHeader { arm_phase: ArmPhase::GoingToStart.number(), start_distance_mm: 199.7, ..comes_up };
+        assert!(line(goes).starts_with("the arm goes to its start position, 200 mm away  "));
+        let waits = |reason: StopReason| {
+            let arm_phase = ArmPhase::Waiting.number();
+            line(StateHeader { arm_phase, stop_reason: reason.number(), start_distance_mm: 199.7, ..stopped })
+        };
+        let far = waits(StopReason::StartIsFar);
+        assert!(far.starts_with("ARM WAITS (the start position is 200 mm away)"), "{far}");
+        assert!(far.contains("key a sends the arm there"), "{far}");
+        assert!(waits(StopReason::UsedSince).starts_with("ARM WAITS (another session has used the arm"));
+        assert!(waits(StopReason::NotFollowing).starts_with("ARM STOPPED ("));
         let awaits = StateHeader { permission: Permission::AwaitRest as u8, ..StateHeader::default() };
         assert!(line(awaits).starts_with("relax to begin"));
         let calibrating = StateHeader { calibration_left_ms: 4200, ..awaits };

@@ -19,7 +19,7 @@ use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_provenance::Provenance;
 
 use crate::Failure;
-use crate::options::check_keys;
+use crate::options::{channel, check_keys};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
@@ -37,7 +37,7 @@ pub struct Options {
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<u16>,
     /// Channels of the recordings, in the order the models expect.
-    #[arg(long, value_delimiter = ',', default_value = "0,3,5,8")]
+    #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
     channels: Vec<usize>,
     /// Configuration file with the settings of dsp and decision. By default, the default settings.
     #[arg(long, value_name = "FILE")]

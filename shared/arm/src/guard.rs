@@ -46,7 +46,8 @@ const REST_MM_PER_S: f64 = 1.0;
 /// some more, and the arm's own deceleration from full speed up to 0.25 s.
 const BRAKING_NS: u64 = 350_000_000;
 
-/// The velocity along an axis may be off what was told by so much, in mm/s, and by this share of the speed told.
+/// The measured velocity may lie outside the told range by this much, in mm/s, plus this share of the greatest told
+/// speed.
 const OFF_MM_PER_S: f64 = 20.0;
 const OFF_SHARE: f64 = 0.3;
 
@@ -192,7 +193,7 @@ struct Kept {
 }
 
 impl Kept {
-    fn speed_to_mm_per_s(&self, now_ns: u64, position_mm: &Vector3<f64>) -> Vector3<f64> {
+    fn velocity_to_mm_per_s(&self, now_ns: u64, position_mm: &Vector3<f64>) -> Vector3<f64> {
         (position_mm - self.position_mm) / ((now_ns - self.at_ns) as f64 * 1e-9)
     }
 }
@@ -310,7 +311,7 @@ impl Guard {
 
     fn check_speed(&self, now_ns: u64, position_mm: &Vector3<f64>) -> Result<(), LimitViolation> {
         let Some(from) = self.kept_before(now_ns, SPEED_OVER_NS) else { return Ok(()) };
-        let speed_mm_per_s = from.speed_to_mm_per_s(now_ns, position_mm).norm();
+        let speed_mm_per_s = from.velocity_to_mm_per_s(now_ns, position_mm).norm();
         if speed_mm_per_s > self.most_mm_per_s {
             return Err(LimitViolation::OverSpeed { speed_mm_per_s });
         }
@@ -326,7 +327,7 @@ impl Guard {
         &mut self,
         now_ns: u64,
         position_mm: &Vector3<f64>,
-        told: Twist,
+        told_velocity: Twist,
         passed_ns: u64,
     ) -> Result<(), LimitViolation> {
         if self.resting_since_ns.is_none_or(|since_ns| now_ns < since_ns + BRAKING_NS) {
@@ -335,7 +336,7 @@ impl Guard {
         }
         let rested_at_mm = self.rested_at_mm.get_or_insert(*position_mm);
         // At a limit the velocity is small and not zero.
-        *rested_at_mm += Vector3::from(told.linear_mm_per_s) * (passed_ns as f64 * 1e-9);
+        *rested_at_mm += Vector3::from(told_velocity.linear_mm_per_s) * (passed_ns as f64 * 1e-9);
         let way_mm = (position_mm - *rested_at_mm).norm();
         if way_mm > DRIFT_MM {
             return Err(LimitViolation::Drifted { way_mm });
@@ -353,7 +354,7 @@ impl Guard {
         let told = self.kept.range(first..).fold(self.kept[first].told, |told, kept| told.joined(&kept.told));
         let off_mm_per_s =
             OFF_MM_PER_S + OFF_SHARE * told.linear_mm_per_s + TOOL_REACH_MM * told.angular_rad_per_s;
-        let measured = from.speed_to_mm_per_s(now_ns, position_mm);
+        let measured = from.velocity_to_mm_per_s(now_ns, position_mm);
         for (index, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
             let lowest_mm_per_s = told.lowest_mm_per_s[index];
             let highest_mm_per_s = told.highest_mm_per_s[index];

@@ -56,17 +56,18 @@ impl TrainedOn {
         })
     }
 
-    /// Those of them who may be people of `data_set`: nobody if that is known to be another data set.
+    /// Those of them who may be people of `data_set`; `None` is recordings of your own. Nobody if the model names another
+    /// data set, everybody if it names none.
     pub fn people_of(&self, data_set: Option<&str>) -> &[u16] {
-        match (self.data_set.as_deref(), data_set) {
-            (Some(own), Some(other)) if own != other => &[],
+        match &self.data_set {
+            Some(own) if Some(own.as_str()) != data_set => &[],
             _ => &self.people,
         }
     }
 
-    /// Whether this person of `data_set` is one of them; `None` where that cannot be told.
+    /// Whether this person of `data_set` is one of them; `None` where the model does not say enough to tell.
     pub fn includes(&self, data_set: Option<&str>, person: u16) -> Option<bool> {
-        let is_known = !self.people.is_empty() && self.data_set.is_some() && data_set.is_some();
+        let is_known = !self.people.is_empty() && self.data_set.is_some();
         is_known.then(|| self.people_of(data_set).contains(&person))
     }
 
@@ -410,7 +411,7 @@ mod tests {
             (&of_3dc, Some("3DC"), 1, Some(true)),
             (&of_3dc, Some("3DC"), 2, Some(false)),
             (&of_3dc, Some("Ozdemir 2022"), 1, Some(false)),
-            (&of_3dc, None, 1, None),
+            (&of_3dc, None, 1, Some(false)),
             (&of_own, Some("3DC"), 1, None),
             (&of_own, None, 1, None),
             (&silent, Some("3DC"), 1, None),
@@ -418,7 +419,9 @@ mod tests {
             assert_eq!(model.includes(data_set, person), expected, "{model:?}, {data_set:?}, {person}");
         }
         assert!(of_3dc.people_of(Some("Ozdemir 2022")).is_empty());
-        assert_eq!(of_3dc.people_of(None), [1, 3], "they may be the same");
+        assert!(of_3dc.people_of(None).is_empty(), "recordings of your own are of no data set");
+        assert_eq!(of_own.people_of(None), [1, 3], "they may be the same");
+        assert_eq!(of_own.people_of(Some("3DC")), [1, 3], "they may be the same");
         let any = |models: &[&TrainedOn], people: &[u16]| {
             TrainedOn::any_includes(models.iter().copied(), Some("3DC"), people)
         };

@@ -150,10 +150,16 @@ impl Config {
         if acquisition.replay.path.is_none() {
             return refuse("acquisition.replay.path", "(none)", "name the recording, or use --replay PATH");
         }
-        let chosen = acquisition.replay.channels.as_ref().map_or(acquisition.channels, Vec::len);
-        if chosen != acquisition.channels {
-            let remedy = format!("name as many as acquisition.channels says: {}", acquisition.channels);
-            return refuse("acquisition.replay.channels", format!("{chosen} channels"), remedy);
+        if let Some(named) =
+            acquisition.replay.channels.as_ref().filter(|named| named.len() != acquisition.channels)
+        {
+            let list = format!("[{}]", named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "));
+            let remedy = format!(
+                "names {}, but acquisition.channels is {}: name as many, or change that number",
+                named.len(),
+                acquisition.channels
+            );
+            return refuse("acquisition.replay.channels", list, remedy);
         }
         Ok(())
     }
@@ -240,7 +246,10 @@ mod tests {
         assert!(refusal(&config).contains("--replay PATH"));
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.channels = Some(vec![Channel::Index(0)]);
-        assert!(refusal(&config).contains("as many as acquisition.channels"));
+        assert!(
+            refusal(&config)
+                .contains("acquisition.replay.channels = [0]: names 1, but acquisition.channels is 4")
+        );
     }
 
     #[test]

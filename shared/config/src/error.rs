@@ -21,7 +21,7 @@ pub enum ConfigError {
     Parse {
         /// The file.
         path: PathBuf,
-        /// What is wrong and where, with the nearest known key.
+        /// What is wrong and where, with the nearest known key if one is near.
         message: String,
     },
     /// What was to change one key cannot be used.
@@ -29,7 +29,7 @@ pub enum ConfigError {
     Assignment {
         /// What was given.
         assignment: String,
-        /// What is wrong with it, with the nearest known key.
+        /// What is wrong with it, with the nearest known key if one is near.
         message: String,
     },
     /// A plain table whose sampling rate was not given.
@@ -61,6 +61,17 @@ pub enum ConfigError {
     /// Nothing can be simulated with the profile and the settings.
     #[error("acquisition.simulate")]
     Simulation(#[from] SimulationError),
+    /// A recording with fewer channels than the session has, of which none were named.
+    #[error(
+        "{error}. No channels are named, and acquisition.channels is {channels}: set it to the number you have, or name \
+         the channels in acquisition.replay.channels"
+    )]
+    MissingChannel {
+        /// What the recording lacks.
+        error: RecordingError,
+        /// Channels of the session.
+        channels: usize,
+    },
     /// The recording to replay cannot be read.
     #[error(transparent)]
     Recording(#[from] RecordingError),

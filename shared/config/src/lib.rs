@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Every key has a default (the paper's, where it gives one), so an empty file is valid. An unknown key is an
-//! error that names the nearest known one. Paths are relative to the file's folder.
+//! error that names the nearest known one, or lists those there are. Paths are relative to the file's folder.
 #![forbid(unsafe_code)]
 
 mod check;

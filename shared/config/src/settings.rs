@@ -317,11 +317,11 @@ impl Default for RobotSettings {
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum Realtime {
-    /// Where the rights allow it.
+    /// Use it if permitted.
     Auto,
-    /// Or the session does not start.
+    /// Require it.
     On,
-    /// Never.
+    /// Do not ask for it.
     Off,
 }
 
@@ -414,28 +414,32 @@ impl AcquisitionSettings {
     pub fn check_recording(&self) -> Result<(), ConfigError> {
         let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
         let recording = self.replay.recording(self.channels);
-        RecordingSource::open(path, &recording).map(drop).map_err(recording_error)
+        RecordingSource::open(path, &recording).map(drop).map_err(|error| self.recording_error(error))
     }
 
     /// Opens the recording to replay, once it has been read through, so that a bad one is refused before anything moves.
     ///
     /// # Errors
     ///
-    /// [`ConfigError::SampleRateMissing`] and [`ConfigError::Recording`].
+    /// [`ConfigError::SampleRateMissing`], [`ConfigError::MissingChannel`] and [`ConfigError::Recording`].
     pub fn open_recording(&self) -> Result<(Summary, ReplayStream), ConfigError> {
         let recording = self.replay.recording(self.channels);
         let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
-        let summary = tendon_recordings::check(path, &recording).map_err(recording_error)?;
+        let checked = tendon_recordings::check(path, &recording);
+        let summary = checked.map_err(|error| self.recording_error(error))?;
         let stream = ReplayStream::open(path, &recording, self.sample_rate_hz, self.block_samples)?;
         Ok((summary, stream))
     }
-}
 
-/// What is wrong with a recording, in the words of a session.
-fn recording_error(error: RecordingError) -> ConfigError {
-    match error {
-        RecordingError::SampleRateMissing { file } => ConfigError::SampleRateMissing { path: file },
-        error => ConfigError::Recording(error),
+    /// What is wrong with the recording, in the words of a session.
+    fn recording_error(&self, error: RecordingError) -> ConfigError {
+        match error {
+            RecordingError::SampleRateMissing { file } => ConfigError::SampleRateMissing { path: file },
+            error if error.is_missing_channel() && self.replay.channels.is_none() => {
+                ConfigError::MissingChannel { error, channels: self.channels }
+            }
+            error => ConfigError::Recording(error),
+        }
     }
 }
 
@@ -471,6 +475,27 @@ mod tests {
         acquisition.replay.sample_rate_hz = Some(1000.0);
         let (summary, _) = acquisition.open_recording().unwrap();
         assert_eq!(summary.channels, ["time", "flexor", "extensor", "thumb"]);
+    }
+
+    #[test]
+    fn a_recording_with_fewer_channels_than_the_session_says_what_to_set() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("emg.csv");
+        std::fs::write(&path, "1,2,3\n2,3,4\n").unwrap();
+        let replay = ReplaySettings { path: Some(path), sample_rate_hz: Some(1000.0), ..Default::default() };
+        let mut acquisition = AcquisitionSettings { replay, ..Default::default() };
+        for refused in [acquisition.open_recording().map(drop), acquisition.check_recording()] {
+            let error = refused.unwrap_err().to_string();
+            assert!(error.contains("there is no channel 3: the file has 3 (channels 0 to 2)"), "{error}");
+            assert!(error.contains("acquisition.channels is 4: set it"), "{error}");
+        }
+        // Whoever named it needs no such advice.
+        acquisition.replay.channels = Some([0, 1, 2, 7].map(Channel::Index).to_vec());
+        let error = acquisition.open_recording().unwrap_err().to_string();
+        assert!(
+            error.ends_with("there is no channel 7: the file has 3 (channels 0 to 2); choose among them"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -1,8 +1,32 @@
-//! What `tendon arm` is answered.
+//! What `tendon stop` and `tendon arm` are answered.
 
 use tendon_messages::StopReason;
 
 use crate::arm::Stop;
+
+/// What came of an order to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopAnswer {
+    /// The arm was told, and answers.
+    Stopped,
+    /// There is no connection over which the arm could hear of it.
+    NotConnected,
+    /// The arm does not answer.
+    ArmSilent,
+}
+
+impl StopAnswer {
+    /// The answer as a sentence.
+    pub fn text(self) -> &'static str {
+        match self {
+            StopAnswer::Stopped => "the arm is stopped: `tendon arm` permits motion again",
+            StopAnswer::NotConnected => {
+                "not confirmed: there is no connection to the arm; use its emergency stop button"
+            }
+            StopAnswer::ArmSilent => "not confirmed: the arm does not answer; use its emergency stop button",
+        }
+    }
+}
 
 /// What came of an order to permit motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,8 +41,8 @@ pub enum ArmAnswer {
     GoingToStart,
     /// It is being brought up, by an order before or at the start.
     BringingUp,
-    /// There is no connection to it.
-    NotConnected,
+    /// There is no connection to it, for this reason.
+    NotConnected(StopReason),
     /// The supervisor is silent, so nothing is to move.
     SupervisorSilent,
     /// It did not come up, or was stopped meanwhile.
@@ -49,9 +73,7 @@ impl ArmAnswer {
             ArmAnswer::BringingUp => {
                 "the arm is being brought up: wait, or stop it with `tendon stop`".to_owned()
             }
-            ArmAnswer::NotConnected => {
-                format!("not armed: {}", words(Stop::because(StopReason::ConnectionBroke)))
-            }
+            ArmAnswer::NotConnected(reason) => format!("not armed: {}", words(Stop::because(reason))),
             ArmAnswer::SupervisorSilent => {
                 format!("not armed: {}", words(Stop::because(StopReason::SupervisorSilent)))
             }

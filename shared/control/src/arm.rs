@@ -84,7 +84,7 @@ pub trait Arm {
     /// By what it is told apart from other arms.
     fn key(&self) -> String;
 
-    /// Why it stopped, in its own words.
+    /// Why it stopped, or cannot be reached, in its own words.
     fn explanation(&self) -> Option<String>;
 
     /// The limits of its joints, known once it is [`Link::Connected`].

@@ -10,17 +10,17 @@
 mod state;
 mod watch;
 
-use tendon_arm::{ArmSettings, Guard, JointVector, Twist, XArm7};
+use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Twist, XArm7};
 use tendon_messages::{CommandHeader, Permission, StateHeader, StopReason, TWIST_LENGTH, Trace};
 
-use crate::answer::ArmAnswer;
+use crate::answer::{ArmAnswer, StopAnswer};
 use crate::arm::{Arm, ArmReport, Drive, Link, Stop};
 use crate::gripper::Gripper;
 use crate::latch::Latch;
 use crate::start::{Departure, Start};
 
 pub use state::State;
-use watch::ARM_SILENCE_NS;
+use watch::{ARM_SILENCE_NS, reason_of};
 
 /// How long the arm may take to connect, ns.
 const CONNECT_TIMEOUT_NS: u64 = 10_000_000_000;
@@ -80,6 +80,9 @@ pub struct Controller {
     kinematics: XArm7,
     latch: Latch,
     guard: Guard,
+    /// What the guard found last, and whether [`Controller::take_violation`] has told it.
+    violation: Option<LimitViolation>,
+    is_violation_told: bool,
     gripper: Gripper,
     start: Start,
     phase: Phase,
@@ -116,6 +119,8 @@ impl Controller {
             kinematics: XArm7::new(),
             latch,
             guard: Guard::new(&settings.arm),
+            violation: None,
+            is_violation_told: true,
             gripper: Gripper::new(&settings.arm),
             start: Start::new(&settings.arm, settings.start_speed_rad_per_s),
             phase: Phase::Connecting,
@@ -143,9 +148,24 @@ impl Controller {
         self.arm.key()
     }
 
-    /// Why the arm stopped, in its own words.
-    pub fn explanation(&self) -> Option<String> {
-        self.arm.explanation()
+    /// More about this reason to stop than it says itself: what the guard measured, or the arm's own words.
+    pub fn explanation(&self, reason: StopReason) -> Option<String> {
+        use StopReason::{NeverConnected, NotReady, TakenOver, UnsupportedArm, VelocityRefused};
+        match reason {
+            NeverConnected | NotReady | TakenOver | UnsupportedArm | VelocityRefused => {
+                self.arm.explanation()
+            }
+            _ => {
+                let found = self.violation.filter(|violation| reason_of(*violation) == reason);
+                found.map(|violation| violation.to_string())
+            }
+        }
+    }
+
+    /// What the guard found, once for every stop by it.
+    pub fn take_violation(&mut self) -> Option<LimitViolation> {
+        let was_told = std::mem::replace(&mut self.is_violation_told, true);
+        self.violation.filter(|_| !was_told)
     }
 
     /// Whether the arm is where it waits for something that only the rest of the session can give: commands, or an
@@ -216,8 +236,14 @@ impl Controller {
     }
 
     /// Somebody ordered the arm to stop.
-    pub fn order_stop(&mut self) {
+    pub fn order_stop(&mut self) -> StopAnswer {
         self.stop(Stop::because(StopReason::Ordered));
+        let report = self.arm.report();
+        match report.link {
+            Link::Connecting => StopAnswer::NotConnected,
+            _ if report.silent_ns > ARM_SILENCE_NS => StopAnswer::ArmSilent,
+            _ => StopAnswer::Stopped,
+        }
     }
 
     /// Another stage ended: its successor begins anew.
@@ -249,7 +275,10 @@ impl Controller {
             _ if self.asked.is_some() => return,
             (Phase::EnablingJoints | Phase::GoingToStart(_), _) => ArmAnswer::GoingToStart,
             (Phase::EnablingFlange, _) => ArmAnswer::BringingUp,
-            _ if report.link == Link::Connecting => ArmAnswer::NotConnected,
+            (Phase::Connecting, _) if report.link == Link::Connecting => {
+                ArmAnswer::NotConnected(StopReason::NeverConnected)
+            }
+            _ if report.link == Link::Connecting => ArmAnswer::NotConnected(StopReason::ConnectionBroke),
             _ if self.is_supervisor_silent(now_ns) => ArmAnswer::SupervisorSilent,
             _ => {
                 let unseen = report.error_code.map(Stop::by_fault);
@@ -385,7 +414,7 @@ impl Controller {
         }
         let is_live = self.settings.stale_ns.is_some();
         if is_live && now_ns.saturating_sub(since_ns) > CONNECT_TIMEOUT_NS {
-            self.give_up(Stop::because(StopReason::ConnectionBroke));
+            self.give_up(Stop::because(StopReason::NeverConnected));
         }
     }
 

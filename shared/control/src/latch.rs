@@ -98,19 +98,14 @@ impl Latch {
 /// acknowledge what was not shown.
 fn says_more(reason: StopReason, before: StopReason) -> bool {
     use StopReason::{
-        ArmFault, ConnectionBroke, MovedSince, NotLeftInGoodOrder, NotReady, RecordUnusable, StageEnded,
-        StartIsFar, TakenOver, VelocityRefused, WayLeavesBox,
-    };
-    // These say how the arm was found at the start.
-    let is_how_found = |reason| {
-        matches!(reason, NotLeftInGoodOrder | RecordUnusable | MovedSince | StartIsFar | WayLeavesBox)
+        ArmFault, ConnectionBroke, NeverConnected, NotReady, StageEnded, TakenOver, VelocityRefused,
     };
     match reason {
         ArmFault => before != ArmFault,
-        ConnectionBroke => {
-            is_how_found(before) || matches!(before, NotReady | StageEnded | TakenOver | VelocityRefused)
+        ConnectionBroke | NeverConnected => {
+            before.is_how_found() || matches!(before, NotReady | StageEnded | TakenOver | VelocityRefused)
         }
-        _ => is_how_found(before) && !is_how_found(reason),
+        _ => before.is_how_found() && !reason.is_how_found(),
     }
 }
 

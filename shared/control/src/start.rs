@@ -2,8 +2,10 @@
 //!
 //! ```text
 //! record: left in good order, at these joints? ── no ──▶ wait for `tendon arm`, then follow from where it is
+//!    │ yes                                                   ▲
+//! start within the joint limits, way inside the box? ── no ──┘
 //!    │ yes
-//! way: short, and inside the box? ── no ──▶ wait; `tendon arm` sends it off, unless the way leaves the box
+//! way: short? ── no ──▶ wait; `tendon arm` sends it off
 //!    │ yes
 //!    ▼ go
 //! ```
@@ -18,6 +20,8 @@ pub enum Departure {
     LeftAt(JointVector),
     /// There is no record: it is a new arm, or the last session did not end in good order.
     NoRecord,
+    /// In good order, but another user's session has used it since.
+    UsedSince,
     /// There is a record that cannot be read or is not to be trusted.
     Unusable,
 }
@@ -71,6 +75,7 @@ impl Start {
     ) -> Result<(), StopReason> {
         match departure {
             Departure::NoRecord => return Err(StopReason::NotLeftInGoodOrder),
+            Departure::UsedSince => return Err(StopReason::UsedSince),
             Departure::Unusable => return Err(StopReason::RecordUnusable),
             Departure::LeftAt(left_rad) => {
                 let is_same = (left_rad - joints_rad).iter().all(|off| off.abs() <= SAME_PLACE_RAD);
@@ -80,7 +85,7 @@ impl Start {
             }
         }
         if !(self.joints_rad >= limits.lower_rad && self.joints_rad <= limits.upper_rad) {
-            return Err(StopReason::JointLimit);
+            return Err(StopReason::StartBeyondLimit);
         }
         self.survey(joints_rad)
     }
@@ -88,21 +93,20 @@ impl Start {
     /// Looks at the straight way of the joints from where they are.
     fn survey(&self, joints_rad: &JointVector) -> Result<(), StopReason> {
         let way = self.joints_rad - joints_rad;
-        let (mut was_inside, mut begins_outside, mut furthest_mm) = (false, false, 0.0_f64);
+        let mut furthest_mm = 0.0_f64;
         for posture in 0..=POSTURES {
             let on_the_way_rad = joints_rad + way * (f64::from(posture) / f64::from(POSTURES));
             let position_mm = self.arm.flange_pose_m(&on_the_way_rad).translation.vector * 1e3;
             let is_inside = (0..3).all(|axis| {
                 (self.workspace_min_mm[axis]..=self.workspace_max_mm[axis]).contains(&position_mm[axis])
             });
-            if was_inside && !is_inside {
-                return Err(StopReason::WayLeavesBox);
+            if !is_inside {
+                let is_here = posture == 0;
+                return Err(if is_here { StopReason::OutsideBox } else { StopReason::WayLeavesBox });
             }
-            begins_outside |= posture == 0 && !is_inside;
-            was_inside |= is_inside;
             furthest_mm = furthest_mm.max(self.distance_mm(&on_the_way_rad));
         }
-        if begins_outside || furthest_mm.is_nan() || furthest_mm > NEAR_MM {
+        if furthest_mm.is_nan() || furthest_mm > NEAR_MM {
             return Err(StopReason::StartIsFar);
         }
         Ok(())
@@ -160,10 +164,14 @@ mod tests {
         assert_eq!(permit(&start, moved_rad, joints_rad), Err(StopReason::MovedSince));
         for (departure, reason) in [
             (Departure::NoRecord, StopReason::NotLeftInGoodOrder),
+            (Departure::UsedSince, StopReason::UsedSince),
             (Departure::Unusable, StopReason::RecordUnusable),
         ] {
             assert_eq!(start.permit(departure, &joints_rad, &limits), Err(reason));
         }
+        let narrow = JointLimits { upper_rad: joints_rad.add_scalar(-0.01), ..limits };
+        let permitted = start.permit(Departure::LeftAt(joints_rad), &joints_rad, &narrow);
+        assert_eq!(permitted, Err(StopReason::StartBeyondLimit));
     }
 
     #[test]
@@ -177,7 +185,7 @@ mod tests {
         assert_eq!(turned(0, 10.0), Ok(()));
         // 386 mm from the axis, 16 degrees are 108 mm, and 180 degrees lead out of the box.
         assert_eq!(turned(0, 16.0), Err(StopReason::StartIsFar));
-        assert_eq!(turned(0, 180.0), Err(StopReason::StartIsFar), "it begins outside and comes in");
+        assert_eq!(turned(0, 180.0), Err(StopReason::OutsideBox), "it would come in by itself");
         assert_eq!(turned(0, 360.0), Err(StopReason::WayLeavesBox), "once around: the distance is 0");
     }
 

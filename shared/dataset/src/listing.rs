@@ -75,8 +75,9 @@ pub struct Recordings {
 /// Files that look like recordings but match none of these are listed as skipped.
 ///
 /// # Errors
-/// When there is no recording below one of the paths, the layouts differ, the same recording is found twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate), `labels.csv` is
-/// wrong, or a folder cannot be read.
+/// When there is no recording below one of the paths or none that can be used, the layouts differ, the same recording is
+/// found twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate),
+/// `labels.csv` is wrong, or a folder cannot be read.
 pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, ListingError> {
     let mut found = Found::default();
     for path in paths {
@@ -116,6 +117,10 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
             labelled_recordings(&candidates, &mut skipped)?
         }
     };
+    if recordings.is_empty() {
+        let first_reason = skipped.first().map_or("they hold no trials".to_owned(), ToString::to_string);
+        return Err(ListingError::NoneUsable { first_reason });
+    }
     Ok(Recordings { layout, recordings, skipped })
 }
 
@@ -280,7 +285,7 @@ fn mat_recordings(
                 }
             },
             Ok(None) => "neither its variable iD nor a number in its name identifies the person".to_owned(),
-            Err(error) => error.to_string(),
+            Err(error) => error.below(file),
         };
         skipped.push(SkippedEntry { path: file.clone(), reason });
     }

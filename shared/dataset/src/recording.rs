@@ -74,10 +74,12 @@ impl Recording {
     }
 
     /// What went wrong with it, for the list of what was left out.
-    pub(crate) fn skipped(&self, error: &RecordingError) -> SkippedEntry {
+    pub fn skipped(&self, error: &RecordingError) -> SkippedEntry {
+        let problem = error.below(&self.path);
+        let option = if error.is_missing_channel() { " with --channels" } else { "" };
         let reason = match &self.content {
-            Content::ThreeDc { repetition } => format!("repetition {repetition}: {error}"),
-            Content::OzdemirMat | Content::Table { .. } => error.to_string(),
+            Content::ThreeDc { repetition } => format!("repetition {repetition}: {problem}{option}"),
+            Content::OzdemirMat | Content::Table { .. } => format!("{problem}{option}"),
         };
         SkippedEntry { path: self.path.clone(), reason }
     }

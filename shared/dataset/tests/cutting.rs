@@ -276,6 +276,7 @@ fn a_data_set_says_why_it_cannot_be_built() {
     assert!(message(&two, &folder).contains("a window has 600"));
     let default = DatasetSettings::default();
     assert!(message(&default, &folder).contains("there is no channel 3: the file has 2"));
+    assert!(message(&default, &folder).ends_with("choose among them with --channels"));
     let empty = temporary.path().join("empty");
     fs::create_dir(&empty).unwrap();
     assert!(message(&two, &empty).contains("ParticipantP/train/EMG"));

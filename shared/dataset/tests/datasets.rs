@@ -561,7 +561,7 @@ fn labels_that_cannot_be_used_are_refused_by_line() {
         ("a.csv,1,,0,rest,,\na.csv,1,,0,grip,8,20\n", "line 3: its trial and that of line 2 share samples"),
         ("a.csv,1,,0,rest,0,9\na.csv,2,,0,grip,9,20\n", "is of person 2, session 1 here, but of person 1"),
         (",1,,0,rest,,\n", "line 2: names no file"),
-        ("a.csv,1,,0,fist,,\n", "no window could be cut"),
+        ("a.csv,1,,0,fist,,\n", "the first was left out because:"),
         ("a.csv,1,x,200,rest,,\nb.csv,1,y,0,rest,,\n", "counted through all sessions"),
     ] {
         let labels = if part.starts_with("line 1") { labels.to_owned() } else { format!("{header}{labels}") };
@@ -705,6 +705,13 @@ fn a_mat_file_a_person_is_cut_by_its_timetable() {
     );
     fs::copy(raw.join("a.mat"), raw.join("c.mat")).unwrap();
     assert!(message(&settings, &raw).starts_with("person 12 is in "));
+
+    // Of nobody.
+    let nobody = temporary.path().join("nobody");
+    write_mat(&nobody.join("all.mat"), &[column(1, 2), column(2, 2)], RATE_HZ as f64, 0.5);
+    let message = message(&settings, &nobody);
+    assert!(message.contains("none of the recordings found can be used"), "{message}");
+    assert!(message.contains("neither its variable iD nor a number in its name"), "{message}");
 }
 
 #[test]

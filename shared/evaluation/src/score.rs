@@ -186,7 +186,7 @@ pub fn score_recordings(
                 samples += cut.samples;
                 skipped.extend(cut.skipped.iter().map(ToString::to_string));
             }
-            Err(error) => skipped.push(error.to_string()),
+            Err(error) => skipped.push(recording.skipped(&error).to_string()),
         }
     }
     scorer.finish(paths.to_vec(), samples as f64 / settings.sample_rate_hz, skipped)

@@ -92,7 +92,7 @@ pub fn with_trials(settings: &DatasetSettings, recordings: Vec<Recording>) -> (V
                 skipped.push(format!("{}: contains none of the six gestures", recording.path.display()));
             }
             Ok(cut) => usable.push(WithTrials { recording, trials: cut.trials }),
-            Err(error) => skipped.push(error.to_string()),
+            Err(error) => skipped.push(recording.skipped(&error).to_string()),
         }
     }
     (usable, skipped)

@@ -29,7 +29,7 @@ pub const LARGEST_MODEL: u64 = 512 << 20;
 enum InputProblem {
     /// Something else than a regular file.
     #[error("it is a {0}: name a regular file")]
-    NoFile(&'static str),
+    NotRegular(&'static str),
     /// A file beyond the bound of its kind.
     #[error("it is larger than {} MB, the most that a file of this kind may have: is it the right one?", bytes >> 20)]
     TooLarge {
@@ -121,7 +121,7 @@ fn check_kind(kind: FileType) -> io::Result<()> {
     } else {
         "device"
     };
-    Err(InputProblem::NoFile(name).into())
+    Err(InputProblem::NotRegular(name).into())
 }
 
 #[cfg(test)]

@@ -64,6 +64,36 @@ numbered! {
         ArmSilent = 21,
         /// The flange does not move as it was told.
         NotFollowing = 22,
+        /// The start position is beyond the joint limits of this arm.
+        StartBeyondLimit = 23,
+        /// The arm stands outside the workspace box at the start.
+        OutsideBox = 24,
+        /// The arm was left in good order, but another user's session has used it since.
+        UsedSince = 25,
+        /// There has been no connection to the arm yet.
+        NeverConnected = 26,
+    }
+}
+
+impl StopReason {
+    /// Whether it says how the arm was found at the start: then it has not been stopped, and waits for its first
+    /// `tendon arm`.
+    pub fn is_how_found(self) -> bool {
+        use StopReason::{
+            MovedSince, NotLeftInGoodOrder, OutsideBox, RecordUnusable, StartBeyondLimit, StartIsFar,
+            UsedSince, WayLeavesBox,
+        };
+        matches!(
+            self,
+            NotLeftInGoodOrder
+                | UsedSince
+                | RecordUnusable
+                | MovedSince
+                | StartIsFar
+                | StartBeyondLimit
+                | OutsideBox
+                | WayLeavesBox
+        )
     }
 }
 
@@ -79,7 +109,7 @@ impl fmt::Display for StopReason {
             StopReason::NotReady => {
                 "the arm was stopped by its emergency button or another program: release it, quit the other"
             }
-            StopReason::JointLimit => "a joint is at its limit: drive the arm back by gestures",
+            StopReason::JointLimit => "a joint is beyond its limit: drive it back with the vendor's software",
             StopReason::WorkspaceBox => "the arm left the workspace box: drive it back by gestures",
             StopReason::OverSpeed => "the arm was faster than allowed: check what pulls it, and its settings",
             StopReason::StageEnded => "a stage ended: see above which one",
@@ -92,7 +122,14 @@ impl fmt::Display for StopReason {
             StopReason::RecordUnusable => {
                 "the record of how the arm was left cannot be used: look at the arm and its surroundings"
             }
-            StopReason::StartIsFar => "the start position is far away",
+            StopReason::UsedSince => {
+                "another session has used the arm since: look at the arm and its surroundings"
+            }
+            StopReason::StartIsFar => "the start position is far away: look around, `tendon arm` sends the arm there",
+            StopReason::StartBeyondLimit => {
+                "start_joints_deg is beyond the joint limits of this arm: change it"
+            }
+            StopReason::OutsideBox => "the arm stands outside the workspace box: drive it back by gestures",
             StopReason::WayLeavesBox => "the way to the start position leaves the workspace box",
             StopReason::Creeping => "the arm moved though commanded to rest: find out what drives or pulls it",
             StopReason::TakenOver => "another program changed the arm's mode: quit that program",
@@ -101,6 +138,7 @@ impl fmt::Display for StopReason {
             StopReason::NotFollowing => {
                 "the arm did not move as it was told: find out what holds, pulls or slows it"
             }
+            StopReason::NeverConnected => "no arm answers at its address: check address, cable and power",
             StopReason::ArmSilent => "the arm did not answer in time: check its network",
         })
     }

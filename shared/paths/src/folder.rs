@@ -262,6 +262,15 @@ pub fn state_folder() -> Result<PrivateFolder, PathError> {
     PrivateFolder::open(&state_path(given("XDG_STATE_HOME"), given("HOME"))?)
 }
 
+/// The folder of records of how this user left each arm.
+///
+/// # Errors
+///
+/// As [`state_folder`].
+pub fn arm_record_folder() -> Result<PrivateFolder, PathError> {
+    PrivateFolder::open(&state_folder()?.path().join("arms"))
+}
+
 fn state_path(state_home: Option<PathBuf>, home: Option<PathBuf>) -> Result<PathBuf, PathError> {
     let is_own = |path: &PathBuf| {
         // The nearest folder that is there already.

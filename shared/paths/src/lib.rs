@@ -17,5 +17,7 @@ mod folder;
 mod shared;
 
 pub use claim::{Claim, ClaimError, Holder, claimed_names};
-pub use folder::{PathError, PrivateFolder, runtime_folder, runtime_folders, state_folder, user_name};
-pub use shared::SharedFolder;
+pub use folder::{
+    PathError, PrivateFolder, arm_record_folder, runtime_folder, runtime_folders, state_folder, user_name,
+};
+pub use shared::{SharedFolder, shared_arm_folder};

@@ -5,24 +5,42 @@ use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::Duration;
 
 use nix::dir::Dir;
 use nix::errno::Errno;
-use nix::fcntl::{OFlag, open, openat};
-use nix::sys::stat::{Mode, SFlag, fchmod, fstat};
+use nix::fcntl::{AtFlags, OFlag, open, openat};
+use nix::sys::stat::{FileStat, Mode, SFlag, fchmod, fstat, fstatat};
 use nix::unistd::{UnlinkatFlags, geteuid, unlinkat};
 
 use crate::PathError;
 
+/// Where all users of this machine note that they have used an arm. It outlasts a restart.
+const ARMS: &str = "/var/tmp/tendon-arms";
 /// Longest note, bytes.
 const MAXIMUM_NOTE_LENGTH: u64 = 4096;
+/// What everybody may do in the folder, and with a note.
+const FOLDER_MODE: Mode = Mode::from_bits_truncate(0o1777);
+const NOTE_MODE: Mode = Mode::from_bits_truncate(0o644);
+/// How long a process that has just created the folder may take to open it to all.
+const CREATION: Duration = Duration::from_millis(50);
 
-/// A folder in which everybody can create files and nobody can change those of others (mode 1777, as `/tmp` has). A note
-/// is a file `SUBJECT.UID` that belongs to that user, or it is none.
+/// A folder in which everybody can create files and only root and the folder's owner, who created it, can remove those
+/// of others (mode 1777, as `/tmp` has). A note is a file `SUBJECT.UID` that belongs to that user, or it is none.
 #[derive(Debug)]
 pub struct SharedFolder {
     path: PathBuf,
     folder: OwnedFd,
+}
+
+/// The folder in which every user leaves a note about each arm that it has used.
+///
+/// # Errors
+///
+/// As [`SharedFolder::open`].
+pub fn shared_arm_folder() -> Result<SharedFolder, PathError> {
+    SharedFolder::open(Path::new(ARMS))
 }
 
 impl SharedFolder {
@@ -46,14 +64,26 @@ impl SharedFolder {
         };
         if is_new {
             // The umask has kept others out.
-            fchmod(&folder, Mode::from_bits_truncate(0o1777))
-                .map_err(|error| PathError::system(path, error))?;
+            fchmod(&folder, FOLDER_MODE).map_err(|error| PathError::system(path, error))?;
         }
-        let mode = fstat(&folder).map_err(|error| PathError::system(path, error))?.st_mode;
-        if mode & 0o7777 != 0o1777 {
-            return Err(PathError::NotShared { path: path.to_owned(), mode: mode & 0o7777 });
+        let mode_now = || match fstat(&folder) {
+            Ok(status) => Ok(status.st_mode & 0o7777),
+            Err(error) => Err(PathError::system(path, error)),
+        };
+        let mut mode = mode_now()?;
+        if mode != FOLDER_MODE.bits() {
+            sleep(CREATION);
+            mode = mode_now()?;
+        }
+        if mode != FOLDER_MODE.bits() {
+            return Err(PathError::NotShared { path: path.to_owned(), mode });
         }
         Ok(SharedFolder { path: path.to_owned(), folder })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Replaces this user's note on `subject`.
@@ -70,17 +100,20 @@ impl SharedFolder {
             Err(error) => return Err(failed(error.into())),
         }
         let flags = OFlag::O_WRONLY | OFlag::O_CREAT | OFlag::O_EXCL | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
-        let file = openat(&self.folder, name.as_str(), flags, Mode::from_bits_truncate(0o644));
+        let file = openat(&self.folder, name.as_str(), flags, NOTE_MODE);
         let mut file = File::from(file.map_err(|error| failed(error.into()))?);
+        // The umask has kept others out.
+        fchmod(&file, NOTE_MODE).map_err(|error| failed(error.into()))?;
         file.write_all(note.as_bytes()).and_then(|()| file.sync_all()).map_err(failed)
     }
 
-    /// The notes of all users on `subject`, by user. What does not belong to the user it names is passed over.
+    /// The notes of all users on `subject`, by user; `None` for one that its user lets nobody read. What does not belong
+    /// to the user it names is passed over.
     ///
     /// # Errors
     ///
     /// [`PathError`] if the folder or a note cannot be read.
-    pub fn notes(&self, subject: &str) -> Result<BTreeMap<u32, String>, PathError> {
+    pub fn notes(&self, subject: &str) -> Result<BTreeMap<u32, Option<String>>, PathError> {
         let failed = |error: std::io::Error| PathError::system(&self.path, error);
         let again = self.folder.try_clone().map_err(failed)?;
         let mut entries = Dir::from_fd(again).map_err(|error| failed(error.into()))?;
@@ -98,22 +131,32 @@ impl SharedFolder {
         Ok(notes)
     }
 
-    fn read_note(&self, name: &str, user: u32) -> Result<Option<String>, PathError> {
+    /// `None` for what is no note of this user, and `Some(None)` for a note that cannot be read.
+    fn read_note(&self, name: &str, user: u32) -> Result<Option<Option<String>>, PathError> {
         let path = self.path.join(name);
+        let is_note = |status: &FileStat| {
+            status.st_mode & SFlag::S_IFMT.bits() == SFlag::S_IFREG.bits() && status.st_uid == user
+        };
         let flags = OFlag::O_RDONLY | OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
         let file = match openat(&self.folder, name, flags, Mode::empty()) {
             Err(Errno::ELOOP | Errno::ENOENT) => return Ok(None),
+            Err(Errno::EACCES) => {
+                return match fstatat(&self.folder, name, AtFlags::AT_SYMLINK_NOFOLLOW) {
+                    Ok(status) => Ok(is_note(&status).then_some(None)),
+                    Err(Errno::ENOENT) => Ok(None),
+                    Err(error) => Err(PathError::system(&path, error)),
+                };
+            }
             opened => File::from(opened.map_err(|error| PathError::system(&path, error))?),
         };
         let status = fstat(&file).map_err(|error| PathError::system(&path, error))?;
-        let is_file = status.st_mode & SFlag::S_IFMT.bits() == SFlag::S_IFREG.bits();
-        if !is_file || status.st_uid != user {
+        if !is_note(&status) {
             return Ok(None);
         }
         let mut note = Vec::new();
         let read = file.take(MAXIMUM_NOTE_LENGTH).read_to_end(&mut note);
         read.map_err(|error| PathError::system(&path, error))?;
-        Ok(Some(String::from_utf8_lossy(&note).into_owned()))
+        Ok(Some(Some(String::from_utf8_lossy(&note).into_owned())))
     }
 }
 
@@ -134,7 +177,7 @@ mod tests {
         folder.leave_note("arm-2", "other").unwrap();
         SharedFolder::open(&path).unwrap().leave_note("arm", "two").unwrap();
         let me = geteuid().as_raw();
-        assert_eq!(folder.notes("arm").unwrap(), BTreeMap::from([(me, "two".to_owned())]));
+        assert_eq!(folder.notes("arm").unwrap(), BTreeMap::from([(me, Some("two".to_owned()))]));
         // A note in the name of somebody else, a link and a pipe are none.
         std::fs::write(path.join("arm.4242"), "forged").unwrap();
         symlink("/etc/passwd", path.join("arm.4243")).unwrap();
@@ -142,8 +185,22 @@ mod tests {
         assert_eq!(folder.notes("arm").unwrap().len(), 1);
         if geteuid().is_root() {
             chown(path.join("arm.4242"), Some(4242), None).unwrap();
-            assert_eq!(folder.notes("arm").unwrap()[&4242], "forged");
+            assert_eq!(folder.notes("arm").unwrap()[&4242].as_deref(), Some("forged"));
         }
+    }
+
+    #[test]
+    fn a_folder_that_another_process_is_just_creating_is_waited_for() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("notes");
+        std::fs::create_dir(&path).unwrap();
+        let opened = std::thread::spawn({
+            let path = path.clone();
+            move || SharedFolder::open(&path)
+        });
+        sleep(CREATION / 5);
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o1777)).unwrap();
+        opened.join().unwrap().unwrap();
     }
 
     #[test]

@@ -83,7 +83,7 @@ impl RecordingHash {
 
 /// All files at or below `path`.
 fn list_files(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), ProvenanceError> {
-    let failed = |source| ProvenanceError::Read { path: path.to_owned(), source };
+    let failed = |reason| ProvenanceError::Read { path: path.to_owned(), reason };
     if !path.is_dir() {
         files.push(path.to_owned());
         return Ok(());
@@ -117,7 +117,7 @@ fn file_sha256(path: &Path) -> Result<(String, u64), ProvenanceError> {
             length += count as u64;
         }
     };
-    read().map_err(|source| ProvenanceError::Read { path: path.to_owned(), source })
+    read().map_err(|reason| ProvenanceError::Read { path: path.to_owned(), reason })
 }
 
 fn hexadecimal(bytes: &[u8]) -> String {
@@ -147,6 +147,10 @@ mod tests {
         );
         assert_eq!(whole.sha256, hexadecimal(&Sha256::digest(list)));
         let error = FileHash::of(Path::new("/nowhere")).unwrap_err();
-        assert_eq!(error.to_string(), "cannot open /nowhere: check the path and its permissions");
+        let error = error.to_string();
+        assert!(
+            error.starts_with("cannot open /nowhere: ")
+                && error.ends_with("; check the path and its permissions")
+        );
     }
 }

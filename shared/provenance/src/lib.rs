@@ -25,12 +25,12 @@ pub use hash::{FileHash, RecordingHash};
 #[derive(Debug, thiserror::Error)]
 pub enum ProvenanceError {
     /// A model or recording cannot be read.
-    #[error("cannot open {}: check the path and its permissions", path.display())]
+    #[error("cannot open {}: {reason}; check the path and its permissions", path.display())]
     Read {
         /// The file or folder.
         path: PathBuf,
         /// The system's reason.
-        source: io::Error,
+        reason: io::Error,
     },
     /// The settings cannot be said in JSON.
     #[error("the settings cannot be written into the report: {reason}")]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use tendon_signal::DesignError;
 
 use crate::mat::MatError;
-use crate::table::TableError;
+use crate::table::{TableError, TableProblem};
 
 /// A recording that cannot be read. Each message says where and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -113,6 +113,31 @@ fn listed(numbers: &[u32]) -> String {
 }
 
 impl RecordingError {
+    /// Whether a channel was asked for by a number that the recording does not have.
+    pub fn is_missing_channel(&self) -> bool {
+        match self {
+            RecordingError::Table { error, .. } => {
+                matches!(error.problem, TableProblem::MissingChannel { .. })
+            }
+            RecordingError::Mat { error, .. } => matches!(error, MatError::NoColumn { .. }),
+            _ => false,
+        }
+    }
+
+    /// What is wrong, where `path` is named already: a file below it by its name there.
+    pub fn below(&self, path: &Path) -> String {
+        let (file, problem) = match self {
+            RecordingError::Table { file, error } => (file, error.to_string()),
+            RecordingError::Mat { file, error } => (file, error.to_string()),
+            other => return other.to_string(),
+        };
+        match file.strip_prefix(path) {
+            Ok(rest) if rest.as_os_str().is_empty() => problem,
+            Ok(rest) => format!("{}, {problem}", rest.display()),
+            Err(_) => self.to_string(),
+        }
+    }
+
     pub(crate) fn table(file: &Path) -> impl FnOnce(TableError) -> RecordingError + '_ {
         |error| RecordingError::Table { file: file.to_owned(), error }
     }

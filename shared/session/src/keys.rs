@@ -37,7 +37,7 @@ const CONTROL_Z: u8 = 0x1a;
 pub enum KeyboardError {
     /// There is no terminal.
     #[error("keys need a terminal on standard input")]
-    NoTerminal(#[source] Errno),
+    NoTerminal,
     /// The system grants no thread.
     #[error("cannot listen to the keys")]
     Thread(#[source] std::io::Error),
@@ -94,12 +94,12 @@ impl Keyboard {
         events: &Sender<Event>,
         with_gestures: bool,
     ) -> Result<Keyboard, KeyboardError> {
-        let before = tcgetattr(std::io::stdin()).map_err(KeyboardError::NoTerminal)?;
+        let before = tcgetattr(std::io::stdin()).map_err(|_| KeyboardError::NoTerminal)?;
         let mut raw = before.clone();
         cfmakeraw(&mut raw);
         // Lines that are printed meanwhile begin at the left all the same.
         raw.output_flags.insert(OutputFlags::OPOST);
-        tcsetattr(std::io::stdin(), SetArg::TCSANOW, &raw).map_err(KeyboardError::NoTerminal)?;
+        tcsetattr(std::io::stdin(), SetArg::TCSANOW, &raw).map_err(|_| KeyboardError::NoTerminal)?;
         let keyboard = Keyboard { before };
         let (robot, events) = (robot.clone(), events.clone());
         std::thread::Builder::new()

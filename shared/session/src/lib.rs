@@ -10,6 +10,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod arm_stops;
 mod children;
 mod find;
 mod keys;
@@ -19,6 +20,7 @@ mod robot_line;
 mod watch;
 mod writer;
 
+pub use arm_stops::{is_found_waiting, stop_words};
 pub use children::{ChildrenError, Event, check_source_program};
 pub use find::{BecomeOwnerError, become_owner};
 pub use keys::{Keyboard, KeyboardError, stop_on_signals};

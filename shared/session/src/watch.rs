@@ -20,6 +20,7 @@ use tendon_process::{Order, Ready, with_causes};
 use tendon_report::SessionEvent;
 use tendon_transport::{Delivery, Leftovers, ReceiveError, SharedFiles, shared_memory_directory};
 
+use crate::arm_stops::ArmStops;
 use crate::children::{Children, ChildrenError, Event, StageEnd};
 use crate::progress::ProgressWatch;
 use crate::resources;
@@ -149,6 +150,7 @@ pub struct Watch<'a> {
     observer: Observer,
     standard_error: Writer,
     progress: ProgressWatch,
+    arm_stops: ArmStops,
     looked_for_dead: Instant,
     files: SharedFiles,
     /// `None` before the first time.
@@ -188,6 +190,7 @@ impl<'a> Watch<'a> {
             observer,
             standard_error: standard_error.clone(),
             progress: ProgressWatch::default(),
+            arm_stops: ArmStops::default(),
             looked_for_dead: Instant::now(),
             files: SharedFiles::of(&config.session),
             looked_at_files: None,
@@ -227,7 +230,7 @@ impl<'a> Watch<'a> {
                 return Err(SessionFailure::NotReady { who: missing.join(", "), timeout });
             }
             if begun.elapsed() > PATIENCE {
-                let doing = if missing == ["robot"] { self.what_the_arm_does() } else { "" };
+                let doing = if missing == ["robot"] { self.what_the_arm_does() } else { String::new() };
                 self.standard_error.show(&format!("waiting for {}{doing}", missing.join(", ")));
             }
         }
@@ -250,7 +253,11 @@ impl<'a> Watch<'a> {
     /// # Errors
     ///
     /// [`SessionFailure`] when the session cannot go on.
-    pub fn turn(&mut self, longest: Duration, on_state: impl FnMut(&State)) -> Result<Turn, SessionFailure> {
+    pub fn turn(
+        &mut self,
+        longest: Duration,
+        mut on_state: impl FnMut(&State),
+    ) -> Result<Turn, SessionFailure> {
         self.robot.loop_turned();
         match self.events.recv_timeout(longest) {
             Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(Turn::Over),
@@ -260,7 +267,15 @@ impl<'a> Watch<'a> {
             Ok(Event::Ready(stage, ready)) => self.go_on(stage, ready),
             Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
         }
-        self.observer.gather(on_state)?;
+        let mut stops = Vec::new();
+        let gathered = self.observer.gather(|state| {
+            stops.extend(self.arm_stops.look(&state.header));
+            on_state(state);
+        });
+        for stop in stops {
+            self.note(stop);
+        }
+        gathered?;
         self.look_at_progress();
         self.look_at_files()?;
         if self.looked_for_dead.elapsed() > DEAD_OBSERVERS_INTERVAL {
@@ -277,13 +292,15 @@ impl<'a> Watch<'a> {
     }
 
     /// What the robot waits for, for the line that says so.
-    fn what_the_arm_does(&self) -> &'static str {
-        let state = self.observer.newest_state();
-        match state.map(|state| ArmPhase::from_number(state.header.arm_phase)) {
-            Some(ArmPhase::GoingToStart) => ": the arm goes to its start position",
-            Some(ArmPhase::BringingUp) => ": the arm switches its motors on",
-            _ if self.config.robot.backend == Backend::Simulate => "",
-            _ => ": connecting to the arm",
+    fn what_the_arm_does(&self) -> String {
+        let header = self.observer.newest_state().map(|state| state.header).unwrap_or_default();
+        match ArmPhase::from_number(header.arm_phase) {
+            ArmPhase::GoingToStart => {
+                format!(": the arm goes to its start position, {:.0} mm away", header.start_distance_mm)
+            }
+            ArmPhase::BringingUp => ": the arm switches its motors on".to_owned(),
+            _ if self.config.robot.backend == Backend::Simulate => String::new(),
+            _ => ": connecting to the arm".to_owned(),
         }
     }
 
@@ -291,12 +308,20 @@ impl<'a> Watch<'a> {
     /// [`SessionFailure`] when a stage had to be killed, or its last words could not be read.
     pub fn stop(&mut self, mut on_state: impl FnMut(&State)) -> (Usage, Result<(), SessionFailure>) {
         let usage = self.usage();
-        let before = self.observer.gather(&mut on_state);
-        self.observer.ending();
-        let Watch { children, events, observer, .. } = self;
+        let Watch { children, events, observer, arm_stops, .. } = self;
+        let mut stops = Vec::new();
+        let mut on_state = |state: &State| {
+            stops.extend(arm_stops.look(&state.header));
+            on_state(state);
+        };
+        let before = observer.gather(&mut on_state);
+        observer.ending();
         // An observer that fails is no reason to leave a stage running.
         let killed = children.stop(events, || drop(observer.gather(&mut on_state)));
         let gathered = before.and(observer.gather(&mut on_state));
+        for stop in stops {
+            self.note(stop);
+        }
         let result = match killed {
             Err(error) => Err(error.into()),
             Ok(killed) => {

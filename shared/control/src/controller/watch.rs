@@ -14,6 +14,7 @@ pub(super) const ARM_SILENCE_NS: u64 = 300_000_000;
 const UNHEARD_NS: u64 = 50_000_000;
 /// After so long without a sign of life from the arm the connection counts as broken, ns.
 const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
+
 impl Controller {
     pub(super) fn is_supervisor_silent(&self, now_ns: u64) -> bool {
         self.settings.stale_ns.is_some()
@@ -76,6 +77,8 @@ impl Controller {
             };
             let told = Told { velocity, may_be_unheard: report.silent_ns > UNHEARD_NS };
             if let Err(violation) = self.guard.check(now_ns, &joints_rad, &told) {
+                self.violation = Some(violation);
+                self.is_violation_told = false;
                 return self.stop(Stop::because(reason_of(violation)));
             }
         }
@@ -86,7 +89,8 @@ impl Controller {
     }
 }
 
-fn reason_of(violation: LimitViolation) -> StopReason {
+/// The reason to stop that this violation is.
+pub(super) fn reason_of(violation: LimitViolation) -> StopReason {
     match violation {
         LimitViolation::JointLimit { .. } => StopReason::JointLimit,
         LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,

@@ -29,6 +29,12 @@ pub enum ListingError {
         /// What lies there instead, if anything, in brackets.
         hint: String,
     },
+    /// All that was found has to be left out.
+    #[error("none of the recordings found can be used; the first was left out because: {first_reason}")]
+    NoneUsable {
+        /// Why the first one was left out.
+        first_reason: String,
+    },
     /// A name that a manifest cannot hold.
     #[error("{}: its name is not UTF-8, which a manifest cannot hold: rename the file or folder", .path.display())]
     NotUtf8 {

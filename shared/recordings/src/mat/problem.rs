@@ -41,7 +41,7 @@ pub enum MatError {
         expected: &'static str,
     },
     /// A column beyond the last one.
-    #[error("there is no channel {channel}: variable `{name}` has {columns} (channels 0 to {last})", last = .columns - 1)]
+    #[error("there is no channel {channel}: variable `{name}` has {columns} (channels 0 to {last}); choose among them", last = .columns - 1)]
     NoColumn {
         /// The variable.
         name: &'static str,

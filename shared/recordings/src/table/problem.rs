@@ -68,7 +68,7 @@ pub enum TableProblem {
         columns: usize,
     },
     /// A chosen column number beyond the last column.
-    #[error("there is no channel {channel}: the file has {columns} (channels 0 to {last})", last = .columns - 1)]
+    #[error("there is no channel {channel}: the file has {columns} (channels 0 to {last}); choose among them", last = .columns - 1)]
     MissingChannel {
         /// The channel asked for.
         channel: usize,

@@ -196,7 +196,7 @@ impl Rig {
 type Cause = (StopReason, fn(&mut Rig));
 
 const CAUSES: [Cause; 9] = [
-    (StopReason::Ordered, |rig| rig.controller.order_stop()),
+    (StopReason::Ordered, |rig| _ = rig.controller.order_stop()),
     (StopReason::StageEnded, |rig| rig.controller.stage_ended()),
     (StopReason::ArmFault, |rig| rig.arm.0.borrow_mut().halt(Stop::by_fault(31))),
     (StopReason::NotReady, |rig| rig.arm.0.borrow_mut().halt(Stop::because(StopReason::NotReady))),

@@ -34,6 +34,7 @@ fn an_arm_without_a_fitting_record_waits_and_then_follows_from_where_it_is() {
     let moved = ArmSettings::default().start_joints_rad().add_scalar(0.05);
     for (departure, reason) in [
         (Departure::NoRecord, StopReason::NotLeftInGoodOrder),
+        (Departure::UsedSince, StopReason::UsedSince),
         (Departure::Unusable, StopReason::RecordUnusable),
         (Departure::LeftAt(moved), StopReason::MovedSince),
     ] {
@@ -119,12 +120,28 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
 }
 
 #[test]
+fn an_arm_that_stands_outside_the_box_is_driven_back_by_its_user_alone() {
+    let mut settings = settings();
+    // It stands 27 mm beyond this face, and 80 mm from its start position.
+    settings.arm.workspace_max_mm[1] = 40.0;
+    let mut joints_rad = ArmSettings::default().start_joints_rad();
+    joints_rad[0] += 10.0_f64.to_radians();
+    let mut rig = Rig::new(settings, joints_rad, None);
+    rig.pass(100);
+    rig.assert_stopped(StopReason::OutsideBox);
+    assert_eq!(rig.arm(), ArmAnswer::Armed, "it does not go anywhere by itself");
+    rig.rest(3);
+    rig.hold(Gesture::Radial, &SIDEWAYS.map(|component| -component), 10);
+    assert!(rig.arm.0.borrow().position_mm()[1] < 40.0);
+}
+
+#[test]
 fn a_stop_while_connecting_and_a_restart_leave_the_arm_where_it_is() {
     let mut rig = Rig::near();
     rig.arm.0.borrow_mut().report.link = Link::Connecting;
     rig.pass(500);
-    rig.controller.order_stop();
-    assert_eq!(rig.arm(), ArmAnswer::NotConnected);
+    assert_eq!(rig.controller.order_stop(), StopAnswer::NotConnected);
+    assert_eq!(rig.arm(), ArmAnswer::NotConnected(StopReason::NeverConnected));
     rig.arm.0.borrow_mut().report.link = Link::Connected;
     rig.assert_stopped(StopReason::Ordered);
     rig.assert_arms();
@@ -143,7 +160,7 @@ fn an_arm_that_cannot_be_reached_or_driven_is_a_failure() {
     rig.pass(9_900);
     assert_eq!(rig.controller.failure(), None);
     rig.pass(200);
-    assert_eq!(rig.controller.failure(), Some(Stop::because(StopReason::ConnectionBroke)));
+    assert_eq!(rig.controller.failure(), Some(Stop::because(StopReason::NeverConnected)));
     // An arm that Tendon cannot drive answers and reports like any other.
     for link in [Link::Connecting, Link::Connected] {
         let mut rig = Rig::near();
@@ -178,7 +195,7 @@ fn tendon_arm_is_answered_with_what_is_so() {
     assert_eq!(rig.arm(), ArmAnswer::Armed);
     rig.controller.order_stop();
     rig.arm.0.borrow_mut().report.link = Link::Connecting;
-    assert_eq!(rig.arm(), ArmAnswer::NotConnected);
+    assert_eq!(rig.arm(), ArmAnswer::NotConnected(StopReason::ConnectionBroke));
     let mut rig = Rig::on_the_way();
     assert_eq!(rig.arm(), ArmAnswer::GoingToStart);
     // One that never comes up.

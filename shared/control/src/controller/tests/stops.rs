@@ -46,6 +46,21 @@ fn whatever_stops_the_arm_while_it_is_brought_up_stops_it_until_it_is_armed() {
 }
 
 #[test]
+fn a_stop_that_the_arm_cannot_hear_is_not_confirmed() {
+    let mut rig = Rig::moving();
+    assert_eq!(rig.controller.order_stop(), StopAnswer::Stopped);
+    rig.arm.0.borrow_mut().report.silent_ns = 301 * MS;
+    assert_eq!(rig.controller.order_stop(), StopAnswer::ArmSilent);
+    rig.arm.0.borrow_mut().report.link = Link::Connecting;
+    assert_eq!(rig.controller.order_stop(), StopAnswer::NotConnected);
+    for answer in [StopAnswer::ArmSilent, StopAnswer::NotConnected] {
+        assert!(
+            answer.text().starts_with("not confirmed") && answer.text().contains("emergency stop button")
+        );
+    }
+}
+
+#[test]
 fn while_stopped_the_first_reason_stays_but_for_an_error_of_the_arm_and_nothing_moves() {
     for (reason, cause) in CAUSES {
         let mut rig = Rig::moving();

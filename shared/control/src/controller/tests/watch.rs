@@ -129,6 +129,13 @@ fn an_arm_that_does_not_move_as_it_is_told_is_stopped_before_it_is_far() {
         let off_mm = (rig.arm.0.borrow().position_mm()[axis] - from_mm[axis]).abs();
         assert!(off_mm < at_most_mm, "{runaway:?}: {off_mm} mm");
         rig.arm.0.borrow_mut().runaway = Twist::ZERO;
+        // What was measured is told once, and kept for whoever asks.
+        let found = rig.controller.take_violation();
+        assert!(matches!(found, Some(LimitViolation::NotFollowing { .. })), "{found:?}");
+        assert_eq!(rig.controller.take_violation(), None);
+        let words = rig.controller.explanation(StopReason::NotFollowing);
+        assert_eq!(words, found.map(|found| found.to_string()));
+        assert_eq!(rig.controller.explanation(StopReason::OverSpeed), None);
         rig.assert_stopped(StopReason::NotFollowing);
     }
     let mut rig = Rig::on_the_way();
@@ -147,6 +154,10 @@ fn the_joint_limits_are_those_of_the_arm_that_is_there() {
     let mut rig_of_narrow_arm = Rig::at_start();
     rig_of_narrow_arm.arm.0.borrow_mut().limits.lower_rad[3] = 0.8;
     rig_of_narrow_arm.pass(1000);
-    assert_eq!(rig_of_narrow_arm.reason(), Some(StopReason::JointLimit), "its start position is beyond");
+    assert_eq!(
+        rig_of_narrow_arm.reason(),
+        Some(StopReason::StartBeyondLimit),
+        "its start position is beyond"
+    );
     rig.rest(1);
 }
