@@ -11,6 +11,7 @@ use serde::Serialize;
 use tendon_arm::{STEP_NS, SimulatedArm, Twist};
 use tendon_classifier::Recogniser;
 use tendon_config::Config;
+use tendon_features::{Class, Discriminant, LaggedLogCovariance, MethodSettings, Training};
 use tendon_gesture::{Decider, Evidence, Gesture};
 use tendon_messages::Stage;
 use tendon_report::{LatencySummary, duration_histogram};
@@ -52,6 +53,9 @@ fn measure_beside(load: &str, saturated: bool) -> anyhow::Result<Vec<Work>> {
         rows.extend(signal(channels)?);
     }
     rows.push(inference()?);
+    for channels in [4, 8, 10, 64] {
+        rows.extend(personal_inference(channels)?);
+    }
     rows.push(decision()?);
     rows.push(arm()?);
     rows.iter_mut().for_each(|row| row.saturated = saturated);
@@ -147,6 +151,52 @@ fn inference() -> anyhow::Result<Work> {
         stopwatch.time(|| recogniser.recognise(black_box(&window)).copied())?;
     }
     Ok(stopwatch.work(Stage::Inference, "classify a window", Some(config.acquisition.channels)))
+}
+
+/// Fits a discriminant to windows with labels in turns, and takes the windows through it.
+fn personal_inference(channels: usize) -> anyhow::Result<[Work; 3]> {
+    const WINDOWS_PER_CLASS: usize = 20;
+    let config = Config::default();
+    let settings = MethodSettings::default();
+    let (mut emg, mut performance) = simulated(channels)?;
+    let window_length = config.window_length() / config.acquisition.channels * channels;
+    let mut windows = vec![vec![0.0; window_length]; Gesture::COUNT * WINDOWS_PER_CLASS];
+    windows.iter_mut().for_each(|window| emg.fill_block(&mut performance, window));
+
+    let mut covariance =
+        LaggedLogCovariance::new(&settings, channels, config.acquisition.sample_rate_hz, 1.0)?;
+    let feature_count = covariance.feature_count();
+    let mut features = vec![0.0; windows.len() * feature_count];
+    for (window, features) in windows.iter().zip(features.chunks_exact_mut(feature_count)) {
+        covariance.compute(window, features)?;
+    }
+    let classes = Gesture::ALL.map(|gesture| Class { name: gesture.name().to_owned(), weight: 1.0 });
+    let labels: Vec<usize> = (0..windows.len()).map(|window| window % classes.len()).collect();
+    let training = Training {
+        classes: &classes,
+        feature_count,
+        features: &features,
+        labels: &labels,
+        increment_s: 0.075,
+        blocks: &labels,
+    };
+    let discriminant = Discriminant::fit(&training, None, &settings)?;
+
+    let (mut compute, mut posterior, mut distance) = (Stopwatch::new(), Stopwatch::new(), Stopwatch::new());
+    let mut features = vec![0.0; feature_count];
+    let mut whitened = vec![0.0; feature_count];
+    let mut probabilities = [0.0; Gesture::COUNT];
+    for window in windows.iter().cycle().take(REPETITIONS / 10) {
+        compute.time(|| covariance.compute(black_box(window), &mut features))?;
+        posterior.time(|| discriminant.posterior(black_box(&features), &mut probabilities))?;
+        distance.time(|| discriminant.distance(black_box(&features), &mut whitened))?;
+    }
+    let channels = Some(channels);
+    Ok([
+        compute.work(Stage::Inference, "features of a window", channels),
+        posterior.work(Stage::Inference, "posterior of features", channels),
+        distance.work(Stage::Inference, "distance of features", channels),
+    ])
 }
 
 fn decision() -> anyhow::Result<Work> {

@@ -1,8 +1,10 @@
 //! `tendon evaluate`: how well a model recognises windows, by the code that runs live.
 
+mod people;
+
 use std::path::{Path, PathBuf};
 
-use anyhow::ensure;
+use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Serialize;
 use tendon_classifier::{Classifier, TrainedOn};
@@ -14,7 +16,7 @@ use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
 
 use crate::Failure;
-use crate::options::channel;
+use crate::options::{Base, channel};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
@@ -27,8 +29,23 @@ pub struct Options {
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
     /// The ONNX model.
-    #[arg(long, value_name = "FILE")]
-    model: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "calibrate_repetitions")]
+    model: Option<PathBuf>,
+    /// Instead of a model, calibrate a recogniser to each person on the first N repetitions of the first session, with
+    /// what others have in common, and score the person's last session. Takes filter, windows and rate from the
+    /// configuration.
+    #[arg(
+        long,
+        value_name = "N",
+        conflicts_with_all = ["model", "runtime_library"],
+        value_parser = clap::value_parser!(u32).range(1..)
+    )]
+    calibrate_repetitions: Option<u32>,
+    #[command(flatten)]
+    base: Base,
+    /// With --calibrate-repetitions: sampling rate of recordings that do not state it, Hz.
+    #[arg(long, value_name = "HZ", requires = "calibrate_repetitions")]
+    recording_rate_hz: Option<f64>,
     /// Score only these people, by number. By default, everybody whom the model was not trained on: a score on people
     /// it has seen says nothing about a stranger.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
@@ -66,12 +83,16 @@ struct ScoresWithProvenance<'a> {
 pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
     let figures = options.figures.as_deref().map(OutputFolder::check).transpose().map_err(Failure::input)?;
-    let inputs = options.paths.iter().chain([&options.model]).map(PathBuf::as_path);
+    let inputs = options.paths.iter().chain(&options.model).map(PathBuf::as_path);
     check_distinct(&json, &figures, inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
+    if let Some(repetitions) = options.calibrate_repetitions {
+        return people::evaluate(options, repetitions, json, figures, begun);
+    }
+    let model = model(options).map_err(Failure::input)?;
     let library =
         tendon_classifier::runtime_library(options.runtime_library.as_deref()).map_err(Failure::input)?;
-    let classifier = Classifier::load(&library, &options.model).map_err(Failure::input)?;
+    let classifier = Classifier::load(&library, model).map_err(Failure::input)?;
     let trained = classifier.contract().provenance.clone();
     let trained_on = classifier.contract().trained_on.clone();
     let mut works = Works::default();
@@ -91,14 +112,23 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let people: Vec<u16> = scores.people.iter().copied().collect();
     let provenance = Provenance {
         trained_on_person: TrainedOn::any_includes([&trained_on], scores.data_set.as_deref(), &people),
-        ..provenance(options, begun).map_err(Failure::running)?
+        ..provenance(options, model, begun).map_err(Failure::running)?
     };
     // Neither a full disk nor a closed output keeps the others from being written.
     let content = ScoresWithProvenance { scores: &scores, provenance };
     let json = json.iter().map(|file| file.write_json(&content));
-    let drawn = figures.iter().flat_map(|folder| write_score_figures(folder, &options.model, &tally));
+    let drawn = figures.iter().flat_map(|folder| write_score_figures(folder, model, &tally));
     let written = collect(json.chain(drawn)).map_err(Failure::running);
-    written.and(print(text(options, &scores, trained.as_deref())).map_err(Failure::running))
+    written.and(print(text(options, model, &scores, trained.as_deref())).map_err(Failure::running))
+}
+
+/// The model, which has the settings of its own windows.
+fn model(options: &Options) -> anyhow::Result<&Path> {
+    ensure!(
+        !options.base.is_given(),
+        "--config and --set are for --calibrate-repetitions; a model says itself how its windows are made"
+    );
+    options.model.as_deref().context("give a model with --model")
 }
 
 /// Refuses channels that are not those of the data set: its windows cannot be given others.
@@ -115,7 +145,7 @@ fn check_channels(options: &Options, folder: &Path) -> anyhow::Result<()> {
 }
 
 /// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
-fn provenance(options: &Options, begun: Provenance) -> anyhow::Result<Provenance> {
+fn provenance(options: &Options, model: &Path, begun: Provenance) -> anyhow::Result<Provenance> {
     if options.json.is_none() {
         return Ok(begun);
     }
@@ -126,7 +156,7 @@ fn provenance(options: &Options, begun: Provenance) -> anyhow::Result<Provenance
         // A data set's manifest names the hashes of what it was made from.
         .map(|path| if StoredDataset::is_one(path) { path.join("manifest.json") } else { path.clone() })
         .collect();
-    let begun = begun.with_configuration(&configuration)?.with_models([&options.model])?;
+    let begun = begun.with_configuration(&configuration)?.with_models([model])?;
     Ok(begun.with_recording(&recordings)?)
 }
 
@@ -134,9 +164,9 @@ fn failure(error: ScoreError) -> Failure {
     if error.is_bad_input() { Failure::input(error) } else { Failure::running(error) }
 }
 
-fn text(options: &Options, scores: &Scores, trained: Option<&str>) -> String {
+fn text(options: &Options, model: &Path, scores: &Scores, trained: Option<&str>) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
-    let mut text = format!("{} on people {}\n", options.model.display(), people.join(", "));
+    let mut text = format!("{} on people {}\n", model.display(), people.join(", "));
     if let Some(trained) = trained {
         text += &format!("the model: {trained}\n");
     }

@@ -49,6 +49,11 @@ impl Base {
         self.configuration()
     }
 
+    /// Whether a configuration was named or a key was set.
+    pub fn is_given(&self) -> bool {
+        self.config.is_some() || !self.assignments.is_empty()
+    }
+
     /// Whether a key was set that begins with `beginning`.
     pub fn sets(&self, beginning: &str) -> bool {
         self.assignments.iter().any(|assignment| assignment.trim_start().starts_with(beginning))

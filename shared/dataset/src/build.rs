@@ -102,7 +102,7 @@ pub enum DatasetError {
     Manifest(#[from] OutputError),
     /// Not a single window.
     #[error(
-        "no window could be cut from {recordings} recordings; the first was left out because: {first_reason}"
+        "no window could be cut from any recording; the first of {recordings} was left out because: {first_reason}"
     )]
     NoWindows {
         /// Recordings found.

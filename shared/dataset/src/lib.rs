@@ -54,6 +54,7 @@ pub use recording::Recording;
 pub use settings::DatasetSettings;
 pub use split::{
     GestureStatistics, Split, SplitEntry, SplitError, SplitWindows, TrainingStatistics, VALIDATION_SHARE,
+    share_recordings,
 };
 pub use stored::{StoredDataset, StoredDatasetError, StoredDatasetProblem};
 pub use trial::{OnsetStatistics, RecordingEntry};

@@ -24,6 +24,13 @@ pub const VALIDATION_SHARE: f64 = 0.2;
 /// Two people of 3DC part of whose recordings are copies of each other.
 const THREE_DC_TWINS: [u16; 2] = [13, 14];
 
+/// Whether a model that knows person `one` of a layout has seen recordings of `other`.
+pub fn share_recordings(layout: Layout, one: u16, other: u16) -> bool {
+    let are_twins =
+        layout == Layout::ThreeDc && [one, other].iter().all(|person| THREE_DC_TWINS.contains(person));
+    one == other || are_twins
+}
+
 /// What a window is for. The numbers are those of `splits.npy`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]

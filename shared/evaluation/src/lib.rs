@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! data set, recordings ─▶ windows ─▶ model ─▶ Tally ─▶ Evaluation ─▶ text, JSON           (score)
+//! recordings ─▶ a recogniser for each person ─▶ Tally ─▶ Evaluation                    (personal)
 //! recordings with cues ─▶ pipeline ─▶ decisions ─▶ StrategyTally ─▶ StrategyScores          (strategies)
 //! ```
 //!
@@ -12,6 +13,7 @@ mod confusion;
 mod continuous;
 mod evaluation;
 mod people;
+mod personal;
 mod score;
 mod sequence;
 mod strategies;
@@ -21,6 +23,7 @@ pub use confusion::{ClassScores, Confusion};
 pub use continuous::{CuePart, GestureWindows, RepetitionScores, Step, StrategyScores, StrategyTally, Times};
 pub use evaluation::{ConfusedPair, Evaluation, Spread};
 pub use people::{PeopleError, chosen_people};
+pub use personal::{PersonalError, PersonalScores, PersonalSettings, score_people};
 pub use score::{OnProgress, ScoreError, Scores, score_dataset, score_recordings};
 pub use strategies::{
     StrategyError, StrategyModels, StrategyProblem, WithTrials, dataset_settings, score_strategy, with_trials,

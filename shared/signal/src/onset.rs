@@ -22,6 +22,8 @@ pub enum OnsetMethod {
     Baseline,
     /// A percentile of the envelope's local maxima over the whole recording.
     PeakPercentile,
+    /// None: no onset is looked for, and every movement begins at the fixed point.
+    Fixed,
 }
 
 /// The paper's parameters.
@@ -123,6 +125,7 @@ pub fn find_onset(
             let mut rest = most_active[..baseline_samples.min(samples)].to_vec();
             Baseline::of(&mut rest).threshold(settings.threshold_sigma as f32)
         }
+        OnsetMethod::Fixed => f32::INFINITY,
         OnsetMethod::PeakPercentile => percentile(local_maxima(&most_active), settings.peak_percentile),
     };
     let above: Vec<bool> = most_active.iter().map(|&value| value > threshold).collect();

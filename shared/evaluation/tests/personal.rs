@@ -1,0 +1,161 @@
+//! Recognisers calibrated to each person: on people made up here, and on real recordings where they are.
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may do what tests may")]
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use tendon_dataset::DatasetSettings;
+use tendon_evaluation::{PersonalError, PersonalScores, PersonalSettings, score_people};
+use tendon_features::MethodSettings;
+use tendon_gesture::Gesture;
+use tendon_recordings::Channel;
+use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
+
+const CHANNELS: usize = 4;
+const TRIAL_SAMPLES: usize = 2000;
+
+fn settings(repetitions: u32) -> PersonalSettings {
+    PersonalSettings {
+        dataset: DatasetSettings {
+            channels: (0..CHANNELS).map(Channel::Index).collect(),
+            recording_rate_hz: Some(1000.0),
+            sample_rate_hz: 1000.0,
+            filter: None,
+            windows: WindowSettings { window_samples: 300, increment_samples: 75 },
+            onset: OnsetSettings { method: OnsetMethod::Fixed, ..OnsetSettings::default() },
+            fallback_ms: 0.0,
+            rest_start_ms: 0.0,
+            ..DatasetSettings::default()
+        },
+        method: MethodSettings::default(),
+        repetitions,
+    }
+}
+
+/// Noise of which each gesture has its own amplitudes, each person an own gain, and each session a little of its own.
+struct Recorder {
+    folder: PathBuf,
+    labels: String,
+    random: u32,
+}
+
+impl Recorder {
+    fn new(folder: &Path) -> Recorder {
+        let labels = "file,person,session,repetition,gesture,start_sample,end_sample\n".to_owned();
+        Recorder { folder: folder.to_owned(), labels, random: 1 }
+    }
+
+    fn noise(&mut self) -> f64 {
+        self.random = self.random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(self.random >> 8) / f64::from(1 << 24) - 0.5
+    }
+
+    fn record(&mut self, person: u16, session: u32, repetitions: u32, gestures: &[Gesture]) {
+        let file = format!("{person}-{session}.csv");
+        let mut table = String::new();
+        let mut sample = 0;
+        for repetition in 0..repetitions {
+            for &gesture in gestures {
+                for _ in 0..TRIAL_SAMPLES {
+                    let line: Vec<String> = (0..CHANNELS)
+                        .map(|channel| {
+                            let number = gesture as usize;
+                            let strong =
+                                if number == 0 { 0.0 } else { ((number * (channel + 2)) % 7) as f64 };
+                            let gain = 1.0 + 0.3 * f64::from(person) + 0.1 * f64::from(session);
+                            format!("{:.3}", gain * (1.0 + 4.0 * strong) * self.noise())
+                        })
+                        .collect();
+                    table += &line.join(",");
+                    table.push('\n');
+                }
+                let end = sample + TRIAL_SAMPLES;
+                writeln!(
+                    self.labels,
+                    "{file},{person},{session},{repetition},{},{sample},{end}",
+                    gesture.name()
+                )
+                .unwrap();
+                sample = end;
+            }
+        }
+        fs::write(self.folder.join(&file), table).unwrap();
+    }
+
+    fn score(self, repetitions: u32) -> Result<PersonalScores, PersonalError> {
+        fs::write(self.folder.join("labels.csv"), &self.labels).unwrap();
+        let scored = score_people(&[self.folder], &settings(repetitions), &[], &mut |_, _| {});
+        scored.map(|(scores, _)| scores)
+    }
+}
+
+#[test]
+fn people_are_calibrated_on_their_first_session_and_scored_on_their_last() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::new(folder.path());
+    for person in 1..=3 {
+        recorder.record(person, 1, 2, &Gesture::ALL);
+        recorder.record(person, 2, 1, &Gesture::ALL);
+    }
+    let scores = recorder.score(1).unwrap();
+    assert_eq!(scores.people, [1, 2, 3].into());
+    assert_eq!(scores.prior_people, 2);
+    // 2 s hold 23 windows of 300 ms; only the second session is scored, whose repetition is the third of all, from 0.
+    assert_eq!(scores.evaluation.windows, 3 * 6 * 23);
+    assert_eq!(scores.evaluation.per_repetition.keys().copied().collect::<Vec<u8>>(), [2]);
+    assert!(scores.evaluation.accuracy > 0.95, "{}", scores.evaluation);
+}
+
+#[test]
+fn of_a_person_with_one_session_what_did_not_calibrate_is_scored() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::new(folder.path());
+    recorder.record(7, 1, 3, &Gesture::ALL);
+    let scores = recorder.score(2).unwrap();
+    assert_eq!((scores.prior_people, scores.evaluation.windows), (0, 6 * 23));
+    assert!(scores.evaluation.accuracy > 0.95, "{}", scores.evaluation);
+}
+
+#[test]
+fn who_cannot_be_calibrated_is_left_out_with_the_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::new(folder.path());
+    for session in 1..=2 {
+        recorder.record(1, session, 1, &Gesture::ALL);
+        recorder.record(2, session, 1, &Gesture::ACTIVE);
+        recorder.record(3, session, 1, &[Gesture::Rest]);
+    }
+    let scores = recorder.score(1).unwrap();
+    assert_eq!(scores.people, [1].into());
+    let reasons = scores.skipped.join("\n");
+    assert!(reasons.contains("person 2: ") && reasons.contains("rest"), "{reasons}");
+    assert!(reasons.contains("person 3: "), "{reasons}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::new(folder.path());
+    recorder.record(2, 1, 1, &Gesture::ACTIVE);
+    let error = recorder.score(1).unwrap_err().to_string();
+    assert!(error.contains("nobody can be calibrated") && error.contains("person 2"), "{error}");
+}
+
+/// The bars of the personal recogniser are far above this; three people make a poor prior.
+#[test]
+fn real_people_are_well_recognised_after_one_repetition() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/3dc");
+    let paths: Vec<PathBuf> = [1, 5, 11].map(|person| folder.join(format!("Participant{person}"))).into();
+    if !paths.iter().all(|path| path.exists()) {
+        println!("skipped: recordings not found");
+        return;
+    }
+    let dataset = DatasetSettings {
+        onset: OnsetSettings { method: OnsetMethod::Fixed, ..OnsetSettings::default() },
+        fallback_ms: 1200.0,
+        rest_start_ms: 1200.0,
+        ..DatasetSettings::default()
+    };
+    let settings = PersonalSettings { dataset, method: MethodSettings::default(), repetitions: 1 };
+    let (scores, _) = score_people(&paths, &settings, &[], &mut |_, _| {}).unwrap();
+    assert!(scores.evaluation.people.mean > 0.92, "{}", scores.evaluation);
+    assert!(scores.longest_fit_s < 60.0);
+}

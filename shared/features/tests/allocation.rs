@@ -1,0 +1,86 @@
+//! Once constructed and fitted, a window allocates nothing. Alone in its file: the allocator counts for the
+//! whole process.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use tendon_features::{Class, Discriminant, LaggedLogCovariance, MethodSettings, Training};
+
+struct CountingAllocator;
+
+thread_local! {
+    /// Of this thread alone: the test harness allocates on its own.
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: every call is passed on to the system's allocator as it came; the counter is a plain thread-local
+// that neither allocates nor has a destructor.
+unsafe impl GlobalAlloc for CountingAllocator {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller keeps to the contract of `GlobalAlloc`, which is that of `System`.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above; `pointer` came from `System`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+#[test]
+fn a_window_allocates_nothing() {
+    for channels in [1, 4, 10, 64] {
+        let mut random = 1_u32;
+        let mut window = |samples: usize, gain: f32| -> Vec<f32> {
+            let noise = std::iter::repeat_with(|| {
+                random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                gain * ((random >> 8) as f32 / (1 << 24) as f32 - 0.5)
+            });
+            noise.take(channels * samples).collect()
+        };
+        let before_construction = ALLOCATIONS.get();
+        let settings = MethodSettings::default();
+        let mut covariance = LaggedLogCovariance::new(&settings, channels, 2000.0, 1e-3).expect("valid");
+        let feature_count = covariance.feature_count();
+        let mut features = vec![0.0; 12 * feature_count];
+        for (number, features) in features.chunks_exact_mut(feature_count).enumerate() {
+            covariance.compute(&window(600, if number < 6 { 1.0 } else { 5.0 }), features).expect("features");
+        }
+        let classes = ["rest", "fist"].map(|name| Class { name: name.to_owned(), weight: 1.0 });
+        let labels: Vec<usize> = (0..12).map(|number| number / 6).collect();
+        let training = Training {
+            classes: &classes,
+            feature_count,
+            features: &features,
+            labels: &labels,
+            increment_s: 0.075,
+            blocks: &labels,
+        };
+        let discriminant = Discriminant::fit(&training, None, &settings).expect("a fit");
+        assert!(ALLOCATIONS.get() > before_construction, "the counter counts");
+
+        let mut bad = window(600, 1.0);
+        bad[300] = f32::NAN;
+        let windows = [window(600, 1.0), window(600, 5.0), window(200, 5.0), window(13, 0.0), bad];
+        let (mut features, mut whitened) = (vec![0.0; feature_count], vec![0.0; feature_count]);
+        let (mut posterior, mut recognised, mut refused) = ([0.0; 2], 0, 0);
+        let before = ALLOCATIONS.get();
+        for window in &windows {
+            match covariance.compute(window, &mut features) {
+                Ok(()) => {
+                    let done = discriminant
+                        .posterior(&features, &mut posterior)
+                        .and_then(|()| discriminant.distance(&features, &mut whitened));
+                    recognised += usize::from(done.is_ok());
+                }
+                Err(_) => refused += 1,
+            }
+        }
+        assert_eq!(ALLOCATIONS.get() - before, 0, "{channels} channels");
+        assert_eq!((recognised, refused), (4, 1));
+    }
+}

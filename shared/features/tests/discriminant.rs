@@ -1,0 +1,271 @@
+//! Fitting, cross-validation and the prior: what is refused, and what must hold.
+
+use tendon_features::{
+    Class, CrossValidation, Discriminant, FeatureLayout, FitError, LaggedLogCovariance, MethodSettings,
+    Prior, PriorError, Training, WithinClassScatter,
+};
+
+/// Windows of three features about the means 0, 3 and 6, in turns of the classes.
+struct Session {
+    classes: Vec<Class>,
+    features: Vec<f64>,
+    labels: Vec<usize>,
+    blocks: Vec<usize>,
+}
+
+impl Session {
+    fn new(windows: usize, seed: u32) -> Session {
+        let mut random = seed;
+        let mut noise = || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(random >> 8) / f64::from(1 << 24) - 0.5
+        };
+        let labels: Vec<usize> = (0..windows).map(|window| window % 3).collect();
+        let features = labels.iter().flat_map(|&label| {
+            let common = noise();
+            [3.0 * label as f64 + common, common + noise(), noise()]
+        });
+        Session {
+            classes: ["rest", "fist", "wave"]
+                .map(|name| Class { name: name.to_owned(), weight: 1.0 })
+                .to_vec(),
+            features: features.collect(),
+            blocks: (0..windows).map(|window| window * 4 / windows).collect(),
+            labels,
+        }
+    }
+
+    fn training(&self) -> Training<'_> {
+        Training {
+            classes: &self.classes,
+            feature_count: 3,
+            features: &self.features,
+            labels: &self.labels,
+            increment_s: 0.075,
+            blocks: &self.blocks,
+        }
+    }
+
+    fn refused(&self) -> FitError {
+        Discriminant::fit(&self.training(), None, &MethodSettings::default()).expect_err("refused")
+    }
+}
+
+fn layout() -> FeatureLayout {
+    FeatureLayout { channels: 2, delays_ms: vec![0.0], lowest_rate_hz: 1000.0, highest_rate_hz: 2000.0 }
+}
+
+fn prior() -> Prior {
+    let scatter = WithinClassScatter::new(&Session::new(90, 7).training()).expect("a scatter");
+    Prior::pool(layout(), [("other", &scatter)]).expect("a prior")
+}
+
+#[test]
+fn training_that_does_not_do_is_refused_by_name() {
+    let session = || Session::new(60, 1);
+
+    let mut few = session();
+    few.labels.iter_mut().filter(|label| **label == 2).skip(4).for_each(|label| *label = 0);
+    assert_eq!(few.refused(), FitError::TooFewWindows { class: "wave".to_owned(), windows: 4, needed: 5 });
+
+    let mut one = session();
+    one.classes.truncate(1);
+    assert_eq!(one.refused(), FitError::TooFewClasses(1));
+
+    let mut weightless = session();
+    weightless.classes[1].weight = 0.0;
+    assert_eq!(weightless.refused(), FitError::Weight { class: "fist".to_owned(), weight: 0.0 });
+
+    let mut unknown = session();
+    unknown.labels[5] = 3;
+    assert_eq!(unknown.refused(), FitError::Label { window: 5, label: 3, classes: 3 });
+
+    let mut bad = session();
+    bad.features[3 * 5 + 1] = f64::NAN;
+    assert_eq!(bad.refused(), FitError::NotFinite { window: 5 });
+
+    let mut short = session();
+    short.features.pop();
+    assert_eq!(short.refused(), FitError::Shape { values: 179, labels: 60, blocks: 60, length: 3 });
+
+    let mut flat = session();
+    let labels = flat.labels.clone();
+    flat.features.chunks_exact_mut(3).zip(labels).for_each(|(window, label)| window.fill(label as f64));
+    assert_eq!(flat.refused(), FitError::Singular);
+
+    let settings = MethodSettings { ridge: -1.0, ..MethodSettings::default() };
+    let error = Discriminant::fit(&session().training(), None, &settings).expect_err("refused");
+    assert!(error.to_string().contains("ridge"), "{error}");
+}
+
+#[test]
+fn a_gesture_in_one_block_only_cannot_be_held_out() {
+    let mut session = Session::new(60, 1);
+    let labels = session.labels.clone();
+    session.blocks.iter_mut().zip(labels).filter(|(_, label)| *label == 1).for_each(|(block, _)| *block = 2);
+    let error = CrossValidation::new(&session.training(), None, &MethodSettings::default());
+    assert_eq!(error.expect_err("refused"), FitError::CannotHoldOut { class: "fist".to_owned(), block: 2 });
+}
+
+#[test]
+fn windows_that_do_not_fit_are_refused() {
+    let discriminant =
+        Discriminant::fit(&Session::new(60, 1).training(), None, &MethodSettings::default()).expect("a fit");
+    let mut posterior = [0.0; 3];
+    assert_eq!(
+        discriminant.posterior(&[0.0; 2], &mut posterior),
+        Err(FitError::Length { what: "features", given: 2, needed: 3 })
+    );
+    assert_eq!(
+        discriminant.posterior(&[0.0; 3], &mut posterior[1..]),
+        Err(FitError::Length { what: "scores", given: 2, needed: 3 })
+    );
+    for bad in [f64::NAN, f64::INFINITY] {
+        let features = [0.0, bad, 0.0];
+        assert_eq!(discriminant.posterior(&features, &mut posterior), Err(FitError::NotFinite { window: 0 }));
+        let distance = discriminant.distance(&features, &mut [0.0; 3]);
+        assert_eq!(distance, Err(FitError::NotFinite { window: 0 }));
+    }
+    for temperature in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let error = discriminant.clone().with_temperature(temperature).expect_err("refused");
+        assert!(matches!(error, FitError::Temperature(_)));
+    }
+}
+
+#[test]
+fn a_gesture_is_recognised_however_many_windows_it_has() {
+    let mut session = Session::new(60, 1);
+    // Ten times as much rest.
+    let rest = Session::new(600, 2);
+    for (window, (label, block)) in rest
+        .features
+        .chunks_exact(3)
+        .zip(rest.labels.iter().zip(&rest.blocks))
+        .filter(|(_, (label, _))| **label == 0)
+    {
+        session.features.extend_from_slice(window);
+        session.labels.push(*label);
+        session.blocks.push(*block);
+    }
+    let settings = MethodSettings::default();
+    let validation = CrossValidation::new(&session.training(), None, &settings).expect("a validation");
+    let confusion = validation.confusion();
+    for (class, row) in confusion.iter().enumerate() {
+        assert_eq!(row.iter().sum::<usize>(), row[class], "{confusion:?}");
+    }
+    // Everything is right, so nothing speaks for a temperature above the lowest.
+    assert!((validation.temperature(&settings) - settings.temperature_range[0]).abs() < 1e-4);
+
+    let discriminant = Discriminant::fit(&session.training(), None, &settings).expect("a fit");
+    // Halfway between the means of rest and fist, both are as likely.
+    let mean = |class: usize| -> Vec<f64> {
+        let windows: Vec<&[f64]> = session
+            .features
+            .chunks_exact(3)
+            .zip(&session.labels)
+            .filter_map(|(window, label)| (*label == class).then_some(window))
+            .collect();
+        (0..3).map(|i| windows.iter().map(|window| window[i]).sum::<f64>() / windows.len() as f64).collect()
+    };
+    let halfway: Vec<f64> = mean(0).iter().zip(mean(1)).map(|(rest, fist)| 0.5 * (rest + fist)).collect();
+    let mut posterior = [0.0; 3];
+    discriminant.posterior(&halfway, &mut posterior).expect("a posterior");
+    assert!((posterior[0] - posterior[1]).abs() < 1e-9, "{posterior:?}");
+    assert!((posterior.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+    // A mean is at distance 0, and what was never made is far away.
+    let mut whitened = [0.0; 3];
+    assert!(discriminant.distance(&mean(1), &mut whitened).expect("a distance") < 1e-6);
+    let far = discriminant.distance(&[0.0, 0.0, 50.0], &mut whitened).expect("a distance");
+    assert!(far > 10.0 * validation.distance_at(1.0), "{far}");
+}
+
+#[test]
+fn a_fit_survives_a_file_and_a_damaged_one_is_refused() {
+    let session = Session::new(60, 1);
+    let discriminant = Discriminant::fit(&session.training(), Some(&prior()), &MethodSettings::default())
+        .and_then(|discriminant| discriminant.with_temperature(3.0))
+        .expect("a fit");
+    let text = serde_json::to_string(&discriminant).expect("JSON");
+    let read: Discriminant = serde_json::from_str(&text).expect("the same");
+    let (mut ours, mut theirs) = ([0.0; 3], [0.0; 3]);
+    discriminant.posterior(&[1.0, 2.0, 3.0], &mut ours).expect("a posterior");
+    read.posterior(&[1.0, 2.0, 3.0], &mut theirs).expect("a posterior");
+    ours.iter().zip(&theirs).for_each(|(ours, theirs)| assert!((ours - theirs).abs() < 1e-12));
+
+    let mut damaged: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    damaged["biases"].as_array_mut().expect("a list").pop();
+    let error = serde_json::from_value::<Discriminant>(damaged).expect_err("refused").to_string();
+    assert!(error.contains("biases: 2 values were given, 3 are needed"), "{error}");
+}
+
+#[test]
+fn a_prior_survives_a_file() {
+    let prior = prior();
+    let read = Prior::from_bytes(&prior.to_bytes().expect("bytes")).expect("a prior");
+    assert_eq!(
+        (read.layout(), read.people(), read.windows()),
+        (prior.layout(), prior.people(), prior.windows())
+    );
+    assert_eq!(read.people(), ["other"]);
+    for (read, prior) in read.covariance().iter().zip(prior.covariance().iter()) {
+        assert!((read - prior).abs() <= 1e-7 * prior.abs(), "{read} is not {prior}");
+    }
+}
+
+#[test]
+fn a_damaged_prior_is_refused() {
+    let bytes = prior().to_bytes().expect("bytes");
+    let refused = |bytes: &[u8]| Prior::from_bytes(bytes).expect_err("refused");
+    assert!(matches!(refused(b""), PriorError::Header(_)));
+    assert!(matches!(refused(b"\x89PNG\n"), PriorError::Header(_)));
+    for cut in 0..bytes.len() {
+        refused(&bytes[..cut]);
+    }
+    assert!(matches!(refused(&bytes[..bytes.len() - 1]), PriorError::Size { found: 23, expected: 24 }));
+    let mut flipped = bytes.clone();
+    *flipped.last_mut().expect("bytes") ^= 1;
+    assert!(matches!(refused(&flipped), PriorError::Checksum));
+
+    let line = bytes.iter().position(|&byte| byte == b'\n').expect("a line");
+    let changed = |from: &str, to: &str| {
+        let header = String::from_utf8(bytes[..line].to_vec()).expect("text");
+        assert!(header.contains(from), "{header}");
+        [header.replace(from, to).as_bytes(), &bytes[line..]].concat()
+    };
+    let version = refused(&changed("\"version\":1", "\"version\":2,\"more\":0"));
+    assert!(matches!(version, PriorError::Version { found: 2, expected: 1 }));
+    assert!(matches!(refused(&changed("tendon-prior", "tendon-person")), PriorError::Format(_)));
+    let channels = refused(&changed("\"channels\":2", "\"channels\":18446744073709551615"));
+    assert!(matches!(channels, PriorError::Layout { field: "channels" }));
+    assert!(matches!(refused(&changed("\"channels\":2", "\"channels\":3")), PriorError::Size { .. }));
+}
+
+#[test]
+fn a_prior_for_other_features_is_refused_by_name() {
+    let settings = MethodSettings { delays_ms: vec![0.0], ..MethodSettings::default() };
+    let features = |settings: &MethodSettings, channels, rate_hz| {
+        LaggedLogCovariance::new(settings, channels, rate_hz, 1.0).expect("valid")
+    };
+    let prior = prior();
+    prior.check(&features(&settings, 2, 1259.0)).expect("it fits");
+    let refused = |features| prior.check(&features).expect_err("refused");
+    assert!(matches!(
+        refused(features(&settings, 3, 2000.0)),
+        PriorError::Channels { prior: 2, features: 3 }
+    ));
+    assert!(matches!(refused(features(&MethodSettings::default(), 2, 2000.0)), PriorError::Delays { .. }));
+    assert!(matches!(refused(features(&settings, 2, 4000.0)), PriorError::Rate { .. }));
+
+    let mut other = Session::new(60, 1);
+    other.features.truncate(60 * 2);
+    let training = Training { feature_count: 2, ..other.training() };
+    assert_eq!(
+        Discriminant::fit(&training, Some(&prior), &settings).expect_err("refused"),
+        FitError::Length { what: "features of the prior", given: 3, needed: 2 }
+    );
+    let few = WithinClassScatter::new(&Session::new(3, 1).training()).expect("a scatter");
+    assert!(matches!(
+        Prior::pool(layout(), [("other", &few)]),
+        Err(PriorError::TooFewWindows { windows: 3, length: 3 })
+    ));
+}
