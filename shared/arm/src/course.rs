@@ -58,6 +58,11 @@ impl Course {
         self.leg = None;
     }
 
+    /// Whether there is something to compare with.
+    pub fn is_begun(&self) -> bool {
+        self.leg.is_some()
+    }
+
     /// Takes a report, `passed_s` after the one before, and what is told from now on.
     ///
     /// # Errors

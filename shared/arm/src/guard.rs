@@ -58,6 +58,9 @@ pub(crate) const TOOL_REACH_MM: f64 = 300.0;
 /// An arm that gives no sign of life for so long, in ns, may have come to rest by itself: a velocity lasts no longer.
 const UNHEARD_NS: u64 = 150_000_000;
 
+/// A way is measured from a report that is no older than this, in ns: after a stall the arm is elsewhere by now.
+const FRESH_NS: u64 = 50_000_000;
+
 /// What the arm was told is not known if the guard has not looked for so long, in ns.
 const GAP_NS: u64 = 100_000_000;
 
@@ -307,10 +310,13 @@ impl Guard {
         self.check_velocity(reported_ns, &position_mm)?;
         if may_be_unheard {
             self.course.begin_anew();
+            return Ok(());
         }
-        let recent = self.recent(reported_ns);
-        let passed_s = passed_ns as f64 * 1e-9;
-        self.course.check(passed_s, &position_mm, joints_rad, told, &recent)?;
+        let is_fresh = now_ns.saturating_sub(reported_ns) <= FRESH_NS;
+        if self.course.is_begun() || is_fresh {
+            let recent = self.recent(reported_ns);
+            self.course.check(passed_ns as f64 * 1e-9, &position_mm, joints_rad, told, &recent)?;
+        }
         if self.has_braked(now_ns) {
             self.course.begin_anew();
         }
@@ -643,6 +649,27 @@ mod tests {
             let (at_ms, violation) = found_ms(2000, |_| Twist::ZERO, told).unwrap();
             assert!(matches!(violation, LimitViolation::OffCourse { .. }), "{violation}");
             assert!(at_ms < 2000, "{motion} and {rest} steps: {at_ms} ms");
+        }
+    }
+
+    /// Whoever looks again after a stall sees an old report first.
+    #[test]
+    fn a_guard_that_stood_still_does_not_measure_from_an_old_report() {
+        let (mut guard, _) = guard();
+        let moving: Vec<(u64, JointVector)> = moving(1, 100.0).take(300).collect();
+        for (now_ns, joints_rad) in &moving[..100] {
+            let told = Told::velocity(along(1, 100.0));
+            assert_eq!(guard.check(*now_ns, *now_ns, joints_rad, &told), Ok(()));
+        }
+        let (stalled_ns, old_rad) = moving[99];
+        let (resumed_ns, new_rad) = (stalled_ns + 140 * MS, moving[134].1);
+        for step in 0..3 {
+            let now_ns = resumed_ns + step * 4 * MS;
+            assert_eq!(guard.check(now_ns, stalled_ns, &old_rad, &REST), Ok(()));
+        }
+        for step in 3..500 {
+            let now_ns = resumed_ns + step * 4 * MS;
+            assert_eq!(guard.check(now_ns, now_ns, &new_rad, &REST), Ok(()), "{step}");
         }
     }
 
