@@ -144,7 +144,7 @@ impl Controller {
     }
 
     /// By what the arm is told apart from others; see [`Arm::key`].
-    pub fn key(&self) -> String {
+    pub fn key(&self) -> &str {
         self.arm.key()
     }
 

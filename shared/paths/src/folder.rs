@@ -7,6 +7,7 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
+use nix::dir::Dir;
 use nix::errno::Errno;
 use nix::fcntl::{OFlag, open, openat, renameat};
 use nix::sys::stat::{FileStat, Mode, SFlag, fchmod, fstat};
@@ -182,6 +183,25 @@ impl PrivateFolder {
         }
     }
 
+    /// The names of all files in it, in no order.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError::System`] if it cannot be read.
+    pub fn names(&self) -> Result<Vec<String>, PathError> {
+        let failed = |error: std::io::Error| PathError::system(&self.path, error);
+        // Not a duplicate of the descriptor: that would share how far it was read.
+        let again = openat(&self.folder, ".", OFlag::O_DIRECTORY | OFlag::O_CLOEXEC, Mode::empty());
+        let mut entries = again.and_then(Dir::from_fd).map_err(|error| failed(error.into()))?;
+        let mut names = Vec::new();
+        for entry in entries.iter() {
+            let entry = entry.map_err(|error| failed(error.into()))?;
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+        names.retain(|name| name != "." && name != "..");
+        Ok(names)
+    }
+
     /// Opens the file `name`; a new one is for this user alone.
     fn open_file(&self, name: &str, flags: OFlag) -> Result<File, PathError> {
         let path = self.path.join(name);
@@ -304,6 +324,8 @@ mod tests {
         folder.write("arm", b"left in good order").unwrap();
         assert_eq!(folder.read("arm").unwrap().unwrap(), b"left in good order");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays");
+        assert_eq!(folder.names().unwrap(), ["arm"]);
+        assert_eq!(folder.names().unwrap(), ["arm"], "read again from the beginning");
         folder.remove("arm").unwrap();
         folder.remove("arm").unwrap();
         assert_eq!(folder.read("arm").unwrap(), None);
