@@ -264,8 +264,8 @@ impl Robot {
     fn check_arm(&self) -> anyhow::Result<()> {
         match &self.taken {
             Some(taken) if self.controller.is_connected() && self.controller.key() != taken => bail!(
-                "another arm ({}) answers now instead of {taken}: `tendon arm` (key a) takes it once this process is \
-                 started again",
+                "another arm ({}) answers instead of {taken}: check robot.xarm.address. It moves only after `tendon arm` (key \
+                 a)",
                 self.controller.key()
             ),
             _ => Ok(()),

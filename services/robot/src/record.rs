@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn an_order_to_stop_of_nobody_knows_which_arm_forgets_all() {
+    fn a_stop_of_nobody_knows_which_arm_forgets_all() {
         let place = tempfile::tempdir().unwrap();
         let mut records = Records::of(&place.path().join("arms"), &place.path().join("tokens")).unwrap();
         for arm in ["XI1305", "XI1306"] {

@@ -55,6 +55,12 @@ pub enum PathError {
         /// The folder or file.
         path: PathBuf,
     },
+    /// A note is to be left, and something is there that this user cannot replace.
+    #[error("{path} is in the way: remove it, with root's help if it belongs to somebody else", path = path.display())]
+    InTheWay {
+        /// Where the note goes.
+        path: PathBuf,
+    },
     /// There is nowhere to keep lasting state.
     #[error("this user has no home folder: set XDG_STATE_HOME to a folder of this user")]
     NoHome,
