@@ -155,7 +155,11 @@ fn a_session_that_cannot_start_writes_its_report_with_the_reason() {
         (
             // Nobody listens at that port.
             &["robot.backend=xarm", "robot.xarm.address=127.0.0.1", "robot.xarm.control_port=1"],
-            &["tendon robot: error:", "127.0.0.1:1 ", "check its cable and power"],
+            &[
+                "tendon robot: error:",
+                "127.0.0.1:1 ",
+                "no arm answers at 127.0.0.1:1: check address, cable and power",
+            ],
         ),
     ] {
         let mut builder = TendonBuilder::run(&unique_session());

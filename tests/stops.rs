@@ -574,7 +574,8 @@ fn run_away(script: &str, along_y_mm_per_s: i16, reasons: &[StopReason]) {
     rig.assert_stays_at_rest(Duration::from_secs(1));
     rig.order("arm");
     rig.wait_for_full_speed();
-    rig.end();
+    let ended = rig.end();
+    assert!(ended.errors.contains("the arm is stopped: the flange "), "what was measured: {ended:#?}");
 }
 
 #[test]

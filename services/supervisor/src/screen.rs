@@ -73,10 +73,9 @@ fn standing(header: &StateHeader, standstill: Option<&str>) -> String {
         (Permission::Stopped, _) if header.arm_phase == ArmPhase::GoingToStart.number() => {
             format!("the arm goes to its start position, {distance_mm:.0} mm away  {trouble}")
         }
-        (Permission::Stopped, _) if header.stop_reason == StopReason::StartIsFar.number() => format!(
-            "ARM WAITS (the start position is {distance_mm:.0} mm away): look around, then `tendon arm` or key a \
-             sends the arm there  {trouble}"
-        ),
+        (Permission::Stopped, _) if header.stop_reason == StopReason::StartIsFar.number() => {
+            format!("ARM WAITS ({reason})  {trouble}")
+        }
         (Permission::Stopped, _) if is_found_waiting(header) => {
             format!("ARM WAITS ({reason}); to begin: `tendon arm` or key a  {trouble}")
         }
@@ -124,7 +123,7 @@ mod tests {
             line(StateHeader { arm_phase, stop_reason: reason.number(), start_distance_mm: 199.7, ..stopped })
         };
         let far = waits(StopReason::StartIsFar);
-        assert!(far.starts_with("ARM WAITS (the start position is 200 mm away)"), "{far}");
+        assert!(far.starts_with("ARM WAITS (the start position is 200 mm away: look around"), "{far}");
         assert!(far.contains("key a sends the arm there"), "{far}");
         assert!(waits(StopReason::UsedSince).starts_with("ARM WAITS (another session has used the arm"));
         assert!(waits(StopReason::NotFollowing).starts_with("ARM STOPPED ("));

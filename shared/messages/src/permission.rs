@@ -125,7 +125,7 @@ impl fmt::Display for StopReason {
             StopReason::UsedSince => {
                 "another session has used the arm since: look at the arm and its surroundings"
             }
-            StopReason::StartIsFar => "the start position is far away: look around, `tendon arm` sends the arm there",
+            StopReason::StartIsFar => "the start position is far away: look around, then `tendon arm` sends the arm there",
             StopReason::StartBeyondLimit => {
                 "start_joints_deg is beyond the joint limits of this arm: change it"
             }

@@ -78,6 +78,15 @@ impl PathError {
     pub(crate) fn system(path: &Path, error: impl Into<std::io::Error>) -> PathError {
         PathError::System { path: path.to_owned(), source: error.into() }
     }
+
+    /// Whether a shared folder may look like this to others while its creator has not opened it to all yet.
+    pub(crate) fn may_be_just_created(&self) -> bool {
+        match self {
+            PathError::NotShared { .. } => true,
+            PathError::System { source, .. } => source.kind() == std::io::ErrorKind::PermissionDenied,
+            _ => false,
+        }
+    }
 }
 
 /// Name of a user, or the number if it has none.

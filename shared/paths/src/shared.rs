@@ -6,7 +6,7 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::dir::Dir;
 use nix::errno::Errno;
@@ -23,8 +23,9 @@ const MAXIMUM_NOTE_LENGTH: u64 = 4096;
 /// What everybody may do in the folder, and with a note.
 const FOLDER_MODE: Mode = Mode::from_bits_truncate(0o1777);
 const NOTE_MODE: Mode = Mode::from_bits_truncate(0o644);
-/// How long a process that has just created the folder may take to open it to all.
-const CREATION: Duration = Duration::from_millis(50);
+/// How long a process that has just created the folder may take to open it to all, and the time between two looks.
+const CREATION: Duration = Duration::from_millis(500);
+const CREATION_LOOK: Duration = Duration::from_millis(10);
 
 /// A folder in which everybody can create files and only root and the folder's owner, who created it, can remove those
 /// of others (mode 1777, as `/tmp` has). A note is a file `SUBJECT.UID` that belongs to that user, or it is none.
@@ -55,6 +56,18 @@ impl SharedFolder {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => false,
             Err(error) => return Err(PathError::system(path, error)),
         };
+        let begun = Instant::now();
+        loop {
+            match SharedFolder::open_existing(path, is_new) {
+                Err(error) if error.may_be_just_created() && begun.elapsed() < CREATION => {
+                    sleep(CREATION_LOOK);
+                }
+                opened => return opened,
+            }
+        }
+    }
+
+    fn open_existing(path: &Path, is_new: bool) -> Result<SharedFolder, PathError> {
         let flags = OFlag::O_DIRECTORY | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
         let folder = match open(path, flags, Mode::empty()) {
             Err(Errno::ELOOP | Errno::ENOTDIR) => {
@@ -66,15 +79,7 @@ impl SharedFolder {
             // The umask has kept others out.
             fchmod(&folder, FOLDER_MODE).map_err(|error| PathError::system(path, error))?;
         }
-        let mode_now = || match fstat(&folder) {
-            Ok(status) => Ok(status.st_mode & 0o7777),
-            Err(error) => Err(PathError::system(path, error)),
-        };
-        let mut mode = mode_now()?;
-        if mode != FOLDER_MODE.bits() {
-            sleep(CREATION);
-            mode = mode_now()?;
-        }
+        let mode = fstat(&folder).map_err(|error| PathError::system(path, error))?.st_mode & 0o7777;
         if mode != FOLDER_MODE.bits() {
             return Err(PathError::NotShared { path: path.to_owned(), mode });
         }
@@ -219,7 +224,7 @@ mod tests {
             let path = path.clone();
             move || SharedFolder::open(&path)
         });
-        sleep(CREATION / 5);
+        sleep(2 * CREATION_LOOK);
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o1777)).unwrap();
         opened.join().unwrap().unwrap();
     }

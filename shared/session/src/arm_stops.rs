@@ -6,7 +6,13 @@ use tendon_xarm::{Fault, Source};
 /// Why the arm may not move and what to do, in words; `None` where there is nothing to say.
 pub fn stop_words(header: &StateHeader) -> Option<String> {
     let fault = Fault::new(Source::Controller, header.fault_code).map(|fault| fault.to_string());
-    fault.or_else(|| StopReason::from_number(header.stop_reason).map(|reason| reason.to_string()))
+    fault.or_else(|| match StopReason::from_number(header.stop_reason)? {
+        StopReason::StartIsFar => Some(format!(
+            "the start position is {:.0} mm away: look around, then `tendon arm` or key a sends the arm there",
+            header.start_distance_mm
+        )),
+        reason => Some(reason.to_string()),
+    })
 }
 
 /// Whether the arm may not move because of how it was found at the start.
@@ -66,5 +72,8 @@ mod tests {
         assert!(look(Permission::Stopped, fault, 31).is_some(), "again");
         assert_eq!(look(Permission::AwaitRest, StopReason::NoCommands.number(), 0), None, "no stop");
         assert_eq!(look(Permission::Stopped, ended, 0), None);
+        let stop_reason = StopReason::StartIsFar.number();
+        let far = StateHeader { stop_reason, start_distance_mm: 199.7, ..StateHeader::default() };
+        assert!(stop_words(&far).unwrap().starts_with("the start position is 200 mm away: look around"));
     }
 }
