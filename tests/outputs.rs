@@ -20,6 +20,10 @@ fn an_output_that_cannot_be_written_is_refused_before_anything_starts() {
         ended.assert_failed(2, &[missing.to_str().unwrap(), "there is no folder"]);
         let ended = TendonBuilder::command(&unique_session(), &["run", option]).arg(folder.path()).end();
         ended.assert_failed(2, &[folder.path().to_str().unwrap(), "is a folder"]);
+        let pipe = folder.path().join(format!("pipe{option}"));
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let ended = TendonBuilder::command(&unique_session(), &["run", option]).arg(&pipe).end();
+        ended.assert_failed(2, &[pipe.to_str().unwrap(), "nobody reads the pipe"]);
     }
     let file = folder.path().join("file");
     fs::write(&file, "").unwrap();

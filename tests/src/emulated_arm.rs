@@ -5,6 +5,7 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use crate::wait_until;
 use tendon_xarm_emulator::{Emulator, Listen, Properties};
 
 /// Where sessions note that they have used an arm.
@@ -31,13 +32,21 @@ impl EmulatedArm {
     ///
     /// Without free ports.
     pub fn start_at(address: IpAddr) -> EmulatedArm {
+        EmulatedArm::start_on(Listen { address, ..Listen::anywhere() })
+    }
+
+    /// As [`EmulatedArm::start`], on these ports, once they are free.
+    ///
+    /// # Panics
+    ///
+    /// When they stay taken.
+    pub fn start_on(listen: Listen) -> EmulatedArm {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed) % 1000;
         let serial_number = format!("XI1300{:07}{number:03}", std::process::id());
         let properties = Properties { serial_number, ..Properties::default() };
-        EmulatedArm {
-            emulator: Emulator::start_as(properties, Listen { address, ..Listen::anywhere() }).unwrap(),
-        }
+        let emulator = wait_until("free ports", || Emulator::start_as(properties.clone(), listen).ok());
+        EmulatedArm { emulator }
     }
 
     fn serial_number(&self) -> String {

@@ -19,7 +19,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
-use tendon_arm::SimulatedArm;
+use tendon_arm::{JointVector, SimulatedArm};
 use tendon_config::{Backend, Config, XArmSettings};
 use tendon_control::{Arm, ControlSettings, Controller, Departure, State, Stop, Taken};
 use tendon_gesture::Strategy;
@@ -69,7 +69,8 @@ fn main() -> ExitCode {
             delivery,
             sample_rate_hz: config.acquisition.sample_rate_hz,
             is_introduced: false,
-            has_taken_record: false,
+            taken: None,
+            was_stopped: process.is_restarted,
             askers: Vec::new(),
         };
         let commands = Subscriber::open(&process.session, &COMMANDS, Some(Stage::Robot), delivery)?;
@@ -138,8 +139,10 @@ struct Robot {
     sample_rate_hz: f64,
     /// Whether the supervisor knows that the arm is ready.
     is_introduced: bool,
-    /// Whether the record of how the arm was left was read and removed.
-    has_taken_record: bool,
+    /// The key of the arm that this session has taken: the record of how it was left was read and removed.
+    taken: Option<String>,
+    /// Whether somebody ordered a stop, or a stage ended: an arm that is not taken yet must be, so that no record is left.
+    was_stopped: bool,
     /// Who waits for what comes of an order to arm.
     askers: Vec<Asker>,
 }
@@ -150,28 +153,35 @@ impl Robot {
         process: &mut StageProcess,
         mut commands: Subscriber<CommandHeader, f32>,
     ) -> anyhow::Result<()> {
+        let ended = self.drive(process, &mut commands);
+        let left = self.leave(process);
+        self.publish_state(process)?;
+        process.measurements.publish()?;
+        ended.and(left)
+    }
+
+    /// Takes what comes, until the process is to stop.
+    fn drive(
+        &mut self,
+        process: &mut StageProcess,
+        commands: &mut Subscriber<CommandHeader, f32>,
+    ) -> anyhow::Result<()> {
         let mut tick_ns = now_ns();
-        let ended = loop {
-            if let Err(error) = self.introduce(process) {
-                break Err(error);
-            }
+        loop {
+            self.introduce(process)?;
             let deadline_ns = match self.delivery {
                 Delivery::Live => Some(tick_ns),
                 Delivery::Lossless => process.measurements.deadline_ns(),
             };
             match process.control.wait(Some(commands.as_fd()), deadline_ns)? {
-                Wake::Stop => break Ok(()),
-                Wake::Order(order) => {
-                    if let Err(error) = self.obey(process, order) {
-                        break Err(error);
-                    }
-                }
+                Wake::Stop => return Ok(()),
+                Wake::Order(order) => self.obey(process, order)?,
                 Wake::Message => {
                     commands.acknowledge_wakes()?;
                     let was_still = self.controller.is_still();
                     while let Some(command) = commands.receive()? {
                         self.take(process, &command)?;
-                        process.count(&commands);
+                        process.count(commands);
                     }
                     // A command that sets the still arm in motion goes out at once.
                     if was_still && !self.controller.is_still() {
@@ -179,9 +189,7 @@ impl Robot {
                     }
                 }
                 Wake::Deadline if self.delivery == Delivery::Live => {
-                    if let Err(error) = self.tick(process, tick_ns) {
-                        break Err(error);
-                    }
+                    self.tick(process, tick_ns)?;
                     let period_ns =
                         if self.controller.is_still() { STILL_PERIOD_NS } else { MOVING_PERIOD_NS };
                     // After a stall the ticks that were missed are not made up for.
@@ -192,11 +200,7 @@ impl Robot {
             if let Some(violation) = self.controller.take_violation() {
                 tracing::warn!("the arm is stopped: {violation}");
             }
-        };
-        let left = self.leave(process);
-        self.publish_state(process)?;
-        process.measurements.publish()?;
-        ended.and(left)
+        }
     }
 
     /// Tells the supervisor once that the arm is ready, or that it waits for `tendon arm`.
@@ -225,9 +229,12 @@ impl Robot {
             process.measurements.record_tick(now_ns.saturating_sub(due_ns))?;
         }
         self.controller.tick(now_ns);
+        self.check_arm()?;
         if self.controller.wants_departure(now_ns) {
             let departure = self.take_record()?;
             self.controller.depart(departure, now_ns);
+        } else if self.was_stopped && self.taken.is_none() && self.controller.is_connected() {
+            self.take_record()?;
         }
         self.answer(process);
         if let Some(took_ns) = self.controller.command_to_wire_ns() {
@@ -243,30 +250,50 @@ impl Robot {
     ///
     /// When it cannot be removed, or when the arm is driven by another session that knows it by another address.
     fn take_record(&mut self) -> anyhow::Result<Departure> {
-        self.has_taken_record = true;
+        let key = self.taken.insert(self.controller.key().to_owned());
         let Some(owned) = &mut self.owned else { return Ok(Departure::NoRecord) };
-        let key = self.controller.key();
         owned.claims.push(claim(&format!("the arm {key}"), &format!("serial-{key}"))?);
-        owned.records.take(&key)
+        owned.records.take(key)
+    }
+
+    /// Whether the arm that answers is still the one that was taken.
+    ///
+    /// # Errors
+    ///
+    /// When it is another: this session has not claimed it, and does not know its joint limits nor how it was left.
+    fn check_arm(&self) -> anyhow::Result<()> {
+        match &self.taken {
+            Some(taken) if self.controller.is_connected() && self.controller.key() != taken => bail!(
+                "another arm ({}) answers instead of {taken}: check robot.xarm.address. It moves only after `tendon arm` (key \
+                 a)",
+                self.controller.key()
+            ),
+            _ => Ok(()),
+        }
     }
 
     fn obey(&mut self, process: &mut StageProcess, order: Order) -> anyhow::Result<()> {
         match order {
             Order::Alive => self.controller.hear_supervisor(now_ns()),
             Order::Stop => {
+                self.was_stopped = true;
                 let answer = self.controller.order_stop();
                 if let Some(asker) = process.control.take_asker() {
                     process.control.answer(&asker, answer.text());
                 }
             }
             Order::Arm => {
-                if !self.has_taken_record && self.controller.is_connected() {
+                self.check_arm()?;
+                if self.taken.is_none() && self.controller.is_connected() {
                     self.take_record()?;
                 }
                 self.askers.extend(process.control.take_asker());
                 self.controller.order_arm(now_ns());
             }
-            Order::StageEnded => self.controller.stage_ended(),
+            Order::StageEnded => {
+                self.was_stopped = true;
+                self.controller.stage_ended();
+            }
             Order::Start | Order::Gesture(_) => {}
         }
         self.answer(process);
@@ -309,31 +336,65 @@ impl Robot {
         Ok(process.measurements.record(measurement)?)
     }
 
-    /// Stops the arm, and leaves a record if everything is in good order and the arm is at rest.
+    /// Stops the arm, and leaves a record if everything is in good order and the arm is at rest. If there was an order to
+    /// stop, or the supervisor is gone, no record is left, even if it is not known which arm is there.
     fn leave(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
-        // A supervisor that is gone was killed, or crashed.
-        let is_in_good_order = self.controller.is_in_good_order() && !process.control.is_abandoned();
+        let is_in_good_order = self.controller.is_in_good_order();
         self.controller.end();
-        let Some(owned) = &self.owned else { return Ok(()) };
-        if !is_in_good_order {
-            return Ok(());
+        let rest = if is_in_good_order && self.owned.is_some() { self.wait_for_rest(process)? } else { None };
+        // So that an order to stop is either heard now, or refused.
+        process.control.stop_listening();
+        let is_stopped_now = self.obey_last_stop(process)?;
+        // A supervisor that is gone was killed, or crashed.
+        let is_abandoned = process.control.is_abandoned();
+        let Some(owned) = &mut self.owned else { return Ok(()) };
+        match (&self.taken, rest) {
+            (Some(taken), Some(joints_rad)) if !is_stopped_now && !is_abandoned => {
+                owned.records.leave(taken, &joints_rad)
+            }
+            (None, _) if self.was_stopped || is_abandoned => {
+                if self.controller.is_connected() {
+                    owned.records.take(self.controller.key()).map(drop)
+                } else {
+                    owned.records.forget_all()
+                }
+            }
+            _ => Ok(()),
         }
+    }
+
+    /// Waits until the arm is at rest; gives its joint angles in rad, or `None` if it is not in good order any more, as
+    /// after an order to stop.
+    fn wait_for_rest(&mut self, process: &mut StageProcess) -> anyhow::Result<Option<JointVector>> {
         let begun_ns = now_ns();
-        let mut rest: Option<(u64, tendon_arm::JointVector)> = None;
+        let mut rest: Option<(u64, JointVector)> = None;
         while now_ns().saturating_sub(begun_ns) < LAST_STOP_NS {
             std::thread::sleep(Duration::from_nanos(STILL_PERIOD_NS));
+            if self.obey_last_stop(process)? {
+                return Ok(None);
+            }
             let now_ns = now_ns();
-            let Some(joints_rad) = self.controller.at_the_end(now_ns) else { return Ok(()) };
+            let Some(joints_rad) = self.controller.at_the_end(now_ns) else { return Ok(None) };
             match rest {
                 Some((since_ns, at_rad)) if (joints_rad - at_rad).amax() <= AT_REST_RAD => {
                     if now_ns.saturating_sub(since_ns) >= AT_REST_NS {
-                        return owned.records.leave(&self.controller.key(), &joints_rad);
+                        return Ok(Some(joints_rad));
                     }
                 }
                 _ => rest = Some((now_ns, joints_rad)),
             }
         }
-        Ok(())
+        Ok(None)
+    }
+
+    /// Obeys and answers the orders to stop that have come while the process ends; whether there was one.
+    fn obey_last_stop(&mut self, process: &mut StageProcess) -> anyhow::Result<bool> {
+        let mut is_stopped = false;
+        while let Some(order) = process.control.last_stop()? {
+            self.obey(process, order)?;
+            is_stopped = true;
+        }
+        Ok(is_stopped)
     }
 
     /// Why the arm stopped, and what to do.

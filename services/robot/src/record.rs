@@ -5,6 +5,8 @@
 //!                        │                    └── stopped, killed, an error ─▶ there is none
 //!                        └── none, unreadable: the arm waits for `tendon arm` ◀──┘
 //!
+//! stopped or abandoned before it is known which arm is there ─▶ forget_all: it may be any of this user's
+//!
 //! /var/tmp/tendon-arms/SERIAL.UID   a token of the newest session of each user on that arm
 //! ```
 //!
@@ -19,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use tendon_arm::JointVector;
 use tendon_control::Departure;
 use tendon_paths::{PrivateFolder, SharedFolder, arm_record_folder, shared_arm_folder};
+use tendon_transport::own_user;
 
 /// A new random token for every reader (random(4)).
 const RANDOM: &str = "/proc/sys/kernel/random/uuid";
@@ -37,6 +40,8 @@ struct Contents {
 pub struct Records {
     folder: PrivateFolder,
     tokens: SharedFolder,
+    /// The token that this session has left on the arm it took.
+    token: Option<String>,
 }
 
 impl Records {
@@ -50,6 +55,7 @@ impl Records {
         Ok(Records {
             folder: arm_record_folder().context(failed)?,
             tokens: shared_arm_folder().context(failed)?,
+            token: None,
         })
     }
 
@@ -59,7 +65,7 @@ impl Records {
     /// # Errors
     ///
     /// When either cannot be done: then nothing may move.
-    pub fn take(&self, arm: &str) -> anyhow::Result<Departure> {
+    pub fn take(&mut self, arm: &str) -> anyhow::Result<Departure> {
         let arm = safe_name(arm);
         let name = format!("{arm}.json");
         let tokens = self.tokens_of(&arm)?;
@@ -88,7 +94,25 @@ impl Records {
         self.tokens
             .leave_note(&arm, token.trim())
             .context("cannot tell other users that the arm is in use")?;
+        self.token = Some(token.trim().to_owned());
         Ok(departure)
+    }
+
+    /// Removes the records of all arms of this user: a stop was ordered, and nobody knows of which.
+    ///
+    /// # Errors
+    ///
+    /// When one cannot be removed.
+    pub fn forget_all(&self) -> anyhow::Result<()> {
+        let failed = "cannot remove the records of how the arms were left";
+        let names = self.folder.names().context(failed)?;
+        // All are removed, whatever becomes of the others.
+        let results: Vec<_> = names
+            .iter()
+            .filter(|name| name.ends_with(".json"))
+            .map(|name| self.folder.remove(name))
+            .collect();
+        results.into_iter().collect::<Result<(), _>>().context(failed)
     }
 
     /// The tokens of all users' newest sessions on the arm; `None` if one of them cannot be read.
@@ -100,8 +124,9 @@ impl Records {
         Ok(notes.into_iter().map(|(user, note)| Some((user, note?))).collect())
     }
 
-    /// Writes that the arm was left in good order at these joint angles in rad. While the token of another user cannot
-    /// be read, it writes nothing: the arm then waits in the next session.
+    /// Writes that the arm that was taken was left in good order at these joint angles in rad. While the token of another
+    /// user cannot be read, or if this session's own is gone, it writes nothing: nobody can tell then who has used the arm
+    /// meanwhile, and it waits in the next session.
     ///
     /// # Errors
     ///
@@ -109,6 +134,12 @@ impl Records {
     pub fn leave(&self, arm: &str, joints_rad: &JointVector) -> anyhow::Result<()> {
         let arm = safe_name(arm);
         let Some(tokens) = self.tokens_of(&arm)? else { return Ok(()) };
+        if self.token.is_none() || tokens.get(&own_user()) != self.token.as_ref() {
+            tracing::warn!(
+                "this session's note that it has used the arm was removed: the next session waits"
+            );
+            return Ok(());
+        }
         let contents = Contents { left_in_good_order_at_joints_rad: (*joints_rad).into(), tokens };
         let bytes = serde_json::to_vec(&contents).context("cannot write the record of the arm")?;
         self.folder.write(&format!("{arm}.json"), &bytes).context("cannot write the record of the arm")
@@ -129,14 +160,15 @@ mod tests {
 
     impl Records {
         fn of(arms: &Path, tokens: &Path) -> anyhow::Result<Records> {
-            Ok(Records { folder: PrivateFolder::open(arms)?, tokens: SharedFolder::open(tokens)? })
+            let (folder, tokens) = (PrivateFolder::open(arms)?, SharedFolder::open(tokens)?);
+            Ok(Records { folder, tokens, token: None })
         }
     }
 
     #[test]
     fn a_record_is_there_once_and_what_is_none_of_ours_permits_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        let records = Records::of(folder.path(), &folder.path().join("tokens")).unwrap();
+        let mut records = Records::of(folder.path(), &folder.path().join("tokens")).unwrap();
         let joints_rad = JointVector::from([0.0, -0.26, 0.0, 0.79, 0.0, 1.05, 0.0]);
         assert_eq!(records.take("XI1305 a/b").unwrap(), Departure::NoRecord);
         records.leave("XI1305 a/b", &joints_rad).unwrap();
@@ -162,7 +194,7 @@ mod tests {
     fn a_session_of_anybody_since_makes_a_record_worthless() {
         let place = tempfile::tempdir().unwrap();
         let tokens = place.path().join("tokens");
-        let [mine, others] =
+        let [mut mine, mut others] =
             ["mine", "others"].map(|user| Records::of(&place.path().join(user), &tokens).unwrap());
         let joints_rad = JointVector::zeros();
         mine.take("XI1305").unwrap();
@@ -176,7 +208,33 @@ mod tests {
         mine.leave("XI1305", &joints_rad).unwrap();
         // Nor does it help to remove the tokens.
         std::fs::remove_dir_all(&tokens).unwrap();
-        let mine = Records::of(&place.path().join("mine"), &tokens).unwrap();
+        let mut mine = Records::of(&place.path().join("mine"), &tokens).unwrap();
         assert_eq!(mine.take("XI1305").unwrap(), Departure::UsedSince);
+    }
+
+    #[test]
+    fn a_session_whose_own_token_is_gone_leaves_no_record() {
+        let place = tempfile::tempdir().unwrap();
+        let tokens = place.path().join("tokens");
+        let mut records = Records::of(&place.path().join("arms"), &tokens).unwrap();
+        records.take("XI1305").unwrap();
+        std::fs::remove_file(tokens.join(format!("XI1305.{}", own_user()))).unwrap();
+        records.leave("XI1305", &JointVector::zeros()).unwrap();
+        assert_eq!(records.take("XI1305").unwrap(), Departure::NoRecord);
+    }
+
+    #[test]
+    fn a_stop_of_nobody_knows_which_arm_forgets_all() {
+        let place = tempfile::tempdir().unwrap();
+        let mut records = Records::of(&place.path().join("arms"), &place.path().join("tokens")).unwrap();
+        for arm in ["XI1305", "XI1306"] {
+            records.take(arm).unwrap();
+            records.leave(arm, &JointVector::zeros()).unwrap();
+        }
+        records.forget_all().unwrap();
+        for arm in ["XI1305", "XI1306"] {
+            assert_eq!(records.take(arm).unwrap(), Departure::NoRecord);
+        }
+        records.forget_all().unwrap();
     }
 }

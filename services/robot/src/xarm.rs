@@ -35,6 +35,8 @@ const SPEED_INTERVAL_NS: u64 = 40_000_000;
 pub struct XArm {
     client: Client,
     control: SocketAddr,
+    /// The key of an arm that has no serial number.
+    control_name: String,
     has_gripper: bool,
     kinematics: XArm7,
     motion: Motion,
@@ -66,6 +68,7 @@ impl XArm {
         };
         Ok(XArm {
             control: settings.control,
+            control_name: settings.control.to_string(),
             client: Client::start(settings)?,
             has_gripper: xarm.gripper,
             kinematics: XArm7::new(),
@@ -191,12 +194,10 @@ impl Arm for XArm {
         )
     }
 
-    fn key(&self) -> String {
-        match self.status.identity {
-            Some(identity) if !identity.serial_number.as_str().is_empty() => {
-                identity.serial_number.to_string()
-            }
-            _ => self.control.to_string(),
+    fn key(&self) -> &str {
+        match &self.status.identity {
+            Some(identity) if !identity.serial_number.as_str().is_empty() => identity.serial_number.as_str(),
+            _ => &self.control_name,
         }
     }
 

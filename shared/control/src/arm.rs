@@ -84,7 +84,7 @@ pub trait Arm {
     fn description(&self) -> String;
 
     /// By what it is told apart from other arms.
-    fn key(&self) -> String;
+    fn key(&self) -> &str;
 
     /// Why it stopped, or cannot be reached, in its own words.
     fn explanation(&self) -> Option<String>;

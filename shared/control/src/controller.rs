@@ -20,7 +20,7 @@ use crate::latch::Latch;
 use crate::start::{Departure, Start};
 
 pub use state::State;
-use watch::{ARM_SILENCE_NS, reason_of};
+use watch::ARM_SILENCE_NS;
 
 /// How long the arm may take to connect, ns.
 const CONNECT_TIMEOUT_NS: u64 = 10_000_000_000;
@@ -144,28 +144,8 @@ impl Controller {
     }
 
     /// By what the arm is told apart from others; see [`Arm::key`].
-    pub fn key(&self) -> String {
+    pub fn key(&self) -> &str {
         self.arm.key()
-    }
-
-    /// More about this reason to stop than it says itself: what the guard measured, or the arm's own words.
-    pub fn explanation(&self, reason: StopReason) -> Option<String> {
-        use StopReason::{NeverConnected, NotReady, TakenOver, UnsupportedArm, VelocityRefused};
-        match reason {
-            NeverConnected | NotReady | TakenOver | UnsupportedArm | VelocityRefused => {
-                self.arm.explanation()
-            }
-            _ => {
-                let found = self.violation.filter(|violation| reason_of(*violation) == reason);
-                found.map(|violation| violation.to_string())
-            }
-        }
-    }
-
-    /// What the guard found, once for every stop by it.
-    pub fn take_violation(&mut self) -> Option<LimitViolation> {
-        let was_told = std::mem::replace(&mut self.is_violation_told, true);
-        self.violation.filter(|_| !was_told)
     }
 
     /// Whether the arm is where it waits for something that only the rest of the session can give: commands, or an

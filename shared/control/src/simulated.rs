@@ -9,8 +9,8 @@ impl Arm for SimulatedArm {
         "simulated xArm7".to_owned()
     }
 
-    fn key(&self) -> String {
-        self.description()
+    fn key(&self) -> &str {
+        "simulated xArm7"
     }
 
     fn explanation(&self) -> Option<String> {

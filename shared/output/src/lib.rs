@@ -14,9 +14,11 @@
 use std::fmt::{self, Display};
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use serde::Serialize;
 use tempfile::NamedTempFile;
@@ -65,6 +67,12 @@ pub enum OutputError {
     #[error("{} is also what the command reads: write to another file", path.display())]
     IsInput {
         /// The file.
+        path: PathBuf,
+    },
+    /// A named pipe without a reader.
+    #[error("nobody reads the pipe {}: start its reader first, or name a file", path.display())]
+    NobodyReads {
+        /// The pipe.
         path: PathBuf,
     },
     /// The system refuses.
@@ -117,12 +125,14 @@ pub fn collect(results: impl IntoIterator<Item = Result<(), OutputError>>) -> Re
 }
 
 /// A file to be written.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct OutputFile {
     path: PathBuf,
     /// The file itself where `path` is a symbolic link to it.
     target: PathBuf,
     state: State,
+    /// A pipe stays open from the check on: its reader would take it for ended.
+    pipe: Option<Arc<File>>,
 }
 
 /// What is there before the file is written.
@@ -139,19 +149,31 @@ impl OutputFile {
     ///
     /// # Errors
     ///
-    /// When the folder is missing or not writable, or the path names a folder.
+    /// When the folder is missing or not writable, or the path names a folder, or a pipe that nobody reads.
     pub fn check(path: &Path) -> Result<OutputFile, OutputError> {
         let owned = || path.to_owned();
         // The link and not its target would be replaced.
         let target = fs::canonicalize(path).unwrap_or_else(|_| owned());
+        let mut pipe = None;
         let state = match fs::metadata(&target) {
             Ok(metadata) if metadata.is_dir() => return Err(OutputError::IsFolder { path: owned() }),
             Ok(metadata) if metadata.is_file() => State::File,
-            Ok(_) => State::Special,
+            Ok(metadata) => {
+                if metadata.file_type().is_fifo() {
+                    pipe = Some(Arc::new(open_special(&target).map_err(|source| {
+                        if source.raw_os_error() == Some(Errno::ENXIO as i32) {
+                            OutputError::NobodyReads { path: owned() }
+                        } else {
+                            OutputError::Write { path: owned(), source }
+                        }
+                    })?));
+                }
+                State::Special
+            }
             Err(error) if error.kind() == io::ErrorKind::NotFound => State::Nothing,
             Err(source) => return Err(OutputError::Write { path: owned(), source }),
         };
-        let file = OutputFile { path: owned(), target, state };
+        let file = OutputFile { path: owned(), target, state, pipe };
         if state == State::Special {
             return Ok(file);
         }
@@ -180,7 +202,10 @@ impl OutputFile {
     /// When it cannot be written, for instance because the disk is full.
     pub fn write(&self, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), OutputError> {
         if self.state == State::Special {
-            let file = open_special(&self.target);
+            let file = match &self.pipe {
+                Some(pipe) => pipe.try_clone(),
+                None => open_special(&self.target),
+            };
             return file.and_then(|mut file| fill(&mut file, write)).map_err(|source| self.error(source));
         }
         let mut temporary = self.temporary()?;
@@ -353,8 +378,27 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pipe");
         nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
-        let output = OutputFile::check(&path).unwrap();
-        output.write(|file| file.write_all(b"nobody reads this")).unwrap_err();
+        assert!(matches!(OutputFile::check(&path), Err(OutputError::NobodyReads { .. })));
+    }
+
+    #[test]
+    fn the_reader_of_a_pipe_waits_from_the_check_to_the_end_of_what_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let reader = std::thread::spawn({
+            let path = path.clone();
+            move || fs::read_to_string(path).unwrap()
+        });
+        let output = loop {
+            if let Ok(output) = OutputFile::check(&path) {
+                break output;
+            }
+            std::thread::yield_now();
+        };
+        output.write(|file| file.write_all(b"report")).unwrap();
+        drop(output);
+        assert_eq!(reader.join().unwrap(), "report");
     }
 
     #[test]

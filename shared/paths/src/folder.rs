@@ -7,6 +7,7 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
+use nix::dir::Dir;
 use nix::errno::Errno;
 use nix::fcntl::{OFlag, open, openat, renameat};
 use nix::sys::stat::{FileStat, Mode, SFlag, fchmod, fstat};
@@ -54,6 +55,12 @@ pub enum PathError {
         /// The folder or file.
         path: PathBuf,
     },
+    /// A note is to be left, and something is there that this user cannot replace.
+    #[error("{path} is in the way: remove it, with root's help if it belongs to somebody else", path = path.display())]
+    InTheWay {
+        /// Where the note goes.
+        path: PathBuf,
+    },
     /// There is nowhere to keep lasting state.
     #[error("this user has no home folder: set XDG_STATE_HOME to a folder of this user")]
     NoHome,
@@ -70,6 +77,15 @@ pub enum PathError {
 impl PathError {
     pub(crate) fn system(path: &Path, error: impl Into<std::io::Error>) -> PathError {
         PathError::System { path: path.to_owned(), source: error.into() }
+    }
+
+    /// Whether a shared folder may look like this to others while its creator has not opened it to all yet.
+    pub(crate) fn may_be_just_created(&self) -> bool {
+        match self {
+            PathError::NotShared { .. } => true,
+            PathError::System { source, .. } => source.kind() == std::io::ErrorKind::PermissionDenied,
+            _ => false,
+        }
     }
 }
 
@@ -180,6 +196,25 @@ impl PrivateFolder {
             }
             Err(error) => Err(PathError::system(&self.path.join(name), error)),
         }
+    }
+
+    /// The names of all files in it, in no order.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError::System`] if it cannot be read.
+    pub fn names(&self) -> Result<Vec<String>, PathError> {
+        let failed = |error: std::io::Error| PathError::system(&self.path, error);
+        // Not a duplicate of the descriptor: that would share how far it was read.
+        let again = openat(&self.folder, ".", OFlag::O_DIRECTORY | OFlag::O_CLOEXEC, Mode::empty());
+        let mut entries = again.and_then(Dir::from_fd).map_err(|error| failed(error.into()))?;
+        let mut names = Vec::new();
+        for entry in entries.iter() {
+            let entry = entry.map_err(|error| failed(error.into()))?;
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+        names.retain(|name| name != "." && name != "..");
+        Ok(names)
     }
 
     /// Opens the file `name`; a new one is for this user alone.
@@ -304,6 +339,8 @@ mod tests {
         folder.write("arm", b"left in good order").unwrap();
         assert_eq!(folder.read("arm").unwrap().unwrap(), b"left in good order");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays");
+        assert_eq!(folder.names().unwrap(), ["arm"]);
+        assert_eq!(folder.names().unwrap(), ["arm"], "read again from the beginning");
         folder.remove("arm").unwrap();
         folder.remove("arm").unwrap();
         assert_eq!(folder.read("arm").unwrap(), None);

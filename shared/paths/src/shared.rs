@@ -6,12 +6,12 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::dir::Dir;
 use nix::errno::Errno;
 use nix::fcntl::{AtFlags, OFlag, open, openat};
-use nix::sys::stat::{FileStat, Mode, SFlag, fchmod, fstat, fstatat};
+use nix::sys::stat::{Mode, SFlag, fchmod, fstat, fstatat};
 use nix::unistd::{UnlinkatFlags, geteuid, unlinkat};
 
 use crate::PathError;
@@ -23,8 +23,9 @@ const MAXIMUM_NOTE_LENGTH: u64 = 4096;
 /// What everybody may do in the folder, and with a note.
 const FOLDER_MODE: Mode = Mode::from_bits_truncate(0o1777);
 const NOTE_MODE: Mode = Mode::from_bits_truncate(0o644);
-/// How long a process that has just created the folder may take to open it to all.
-const CREATION: Duration = Duration::from_millis(50);
+/// How long a process that has just created the folder may take to open it to all, and the time between two looks.
+const CREATION: Duration = Duration::from_millis(500);
+const CREATION_LOOK: Duration = Duration::from_millis(10);
 
 /// A folder in which everybody can create files and only root and the folder's owner, who created it, can remove those
 /// of others (mode 1777, as `/tmp` has). A note is a file `SUBJECT.UID` that belongs to that user, or it is none.
@@ -55,6 +56,18 @@ impl SharedFolder {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => false,
             Err(error) => return Err(PathError::system(path, error)),
         };
+        let begun = Instant::now();
+        loop {
+            match SharedFolder::open_existing(path, is_new) {
+                Err(error) if error.may_be_just_created() && begun.elapsed() < CREATION => {
+                    sleep(CREATION_LOOK);
+                }
+                opened => return opened,
+            }
+        }
+    }
+
+    fn open_existing(path: &Path, is_new: bool) -> Result<SharedFolder, PathError> {
         let flags = OFlag::O_DIRECTORY | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
         let folder = match open(path, flags, Mode::empty()) {
             Err(Errno::ELOOP | Errno::ENOTDIR) => {
@@ -66,15 +79,7 @@ impl SharedFolder {
             // The umask has kept others out.
             fchmod(&folder, FOLDER_MODE).map_err(|error| PathError::system(path, error))?;
         }
-        let mode_now = || match fstat(&folder) {
-            Ok(status) => Ok(status.st_mode & 0o7777),
-            Err(error) => Err(PathError::system(path, error)),
-        };
-        let mut mode = mode_now()?;
-        if mode != FOLDER_MODE.bits() {
-            sleep(CREATION);
-            mode = mode_now()?;
-        }
+        let mode = fstat(&folder).map_err(|error| PathError::system(path, error))?.st_mode & 0o7777;
         if mode != FOLDER_MODE.bits() {
             return Err(PathError::NotShared { path: path.to_owned(), mode });
         }
@@ -97,6 +102,8 @@ impl SharedFolder {
         let failed = |error: std::io::Error| PathError::system(&path, error);
         match unlinkat(&self.folder, name.as_str(), UnlinkatFlags::NoRemoveDir) {
             Ok(()) | Err(Errno::ENOENT) => {}
+            // A folder, or what somebody else has put there.
+            Err(Errno::EISDIR | Errno::EPERM | Errno::EACCES) => return Err(PathError::InTheWay { path }),
             Err(error) => return Err(failed(error.into())),
         }
         let flags = OFlag::O_WRONLY | OFlag::O_CREAT | OFlag::O_EXCL | OFlag::O_NOFOLLOW | OFlag::O_CLOEXEC;
@@ -107,12 +114,12 @@ impl SharedFolder {
         file.write_all(note.as_bytes()).and_then(|()| file.sync_all()).map_err(failed)
     }
 
-    /// The notes of all users on `subject`, by user; `None` for one that its user lets nobody read. What does not belong
-    /// to the user it names is passed over.
+    /// The notes of all users on `subject`, by user; `None` for one that cannot be read, because its user lets nobody or
+    /// has put something else there. What does not belong to the user it names is passed over.
     ///
     /// # Errors
     ///
-    /// [`PathError`] if the folder or a note cannot be read.
+    /// [`PathError`] if the folder cannot be read.
     pub fn notes(&self, subject: &str) -> Result<BTreeMap<u32, Option<String>>, PathError> {
         let failed = |error: std::io::Error| PathError::system(&self.path, error);
         let again = self.folder.try_clone().map_err(failed)?;
@@ -131,32 +138,25 @@ impl SharedFolder {
         Ok(notes)
     }
 
-    /// `None` for what is no note of this user, and `Some(None)` for a note that cannot be read.
+    /// `None` for what does not belong to this user, and `Some(None)` for what does and cannot be read as a note: nobody can
+    /// lock others out by what they put here.
     fn read_note(&self, name: &str, user: u32) -> Result<Option<Option<String>>, PathError> {
-        let path = self.path.join(name);
-        let is_note = |status: &FileStat| {
-            status.st_mode & SFlag::S_IFMT.bits() == SFlag::S_IFREG.bits() && status.st_uid == user
+        let status = match fstatat(&self.folder, name, AtFlags::AT_SYMLINK_NOFOLLOW) {
+            Err(Errno::ENOENT) => return Ok(None),
+            status => status.map_err(|error| PathError::system(&self.path.join(name), error))?,
         };
-        let flags = OFlag::O_RDONLY | OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
-        let file = match openat(&self.folder, name, flags, Mode::empty()) {
-            Err(Errno::ELOOP | Errno::ENOENT) => return Ok(None),
-            Err(Errno::EACCES) => {
-                return match fstatat(&self.folder, name, AtFlags::AT_SYMLINK_NOFOLLOW) {
-                    Ok(status) => Ok(is_note(&status).then_some(None)),
-                    Err(Errno::ENOENT) => Ok(None),
-                    Err(error) => Err(PathError::system(&path, error)),
-                };
-            }
-            opened => File::from(opened.map_err(|error| PathError::system(&path, error))?),
-        };
-        let status = fstat(&file).map_err(|error| PathError::system(&path, error))?;
-        if !is_note(&status) {
+        if status.st_uid != user {
             return Ok(None);
         }
+        let flags = OFlag::O_RDONLY | OFlag::O_NOFOLLOW | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC;
+        let Ok(file) = openat(&self.folder, name, flags, Mode::empty()) else { return Ok(Some(None)) };
+        // It may be another by now.
+        let is_note = fstat(&file).is_ok_and(|status| {
+            status.st_mode & SFlag::S_IFMT.bits() == SFlag::S_IFREG.bits() && status.st_uid == user
+        });
         let mut note = Vec::new();
-        let read = file.take(MAXIMUM_NOTE_LENGTH).read_to_end(&mut note);
-        read.map_err(|error| PathError::system(&path, error))?;
-        Ok(Some(Some(String::from_utf8_lossy(&note).into_owned())))
+        let is_read = is_note && File::from(file).take(MAXIMUM_NOTE_LENGTH).read_to_end(&mut note).is_ok();
+        Ok(Some(is_read.then(|| String::from_utf8_lossy(&note).into_owned())))
     }
 }
 
@@ -178,7 +178,7 @@ mod tests {
         SharedFolder::open(&path).unwrap().leave_note("arm", "two").unwrap();
         let me = geteuid().as_raw();
         assert_eq!(folder.notes("arm").unwrap(), BTreeMap::from([(me, Some("two".to_owned()))]));
-        // A note in the name of somebody else, a link and a pipe are none.
+        // What does not belong to the user it names is none.
         std::fs::write(path.join("arm.4242"), "forged").unwrap();
         symlink("/etc/passwd", path.join("arm.4243")).unwrap();
         nix::unistd::mkfifo(&path.join("arm.4244"), Mode::S_IRWXU).unwrap();
@@ -190,6 +190,32 @@ mod tests {
     }
 
     #[test]
+    fn what_a_user_has_put_there_instead_of_a_note_counts_as_one_that_cannot_be_read() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("notes");
+        let folder = SharedFolder::open(&path).unwrap();
+        let me = geteuid().as_raw();
+        let own = path.join(format!("arm.{me}"));
+        let unreadable = BTreeMap::from([(me, None)]);
+        let socket = std::os::unix::net::UnixListener::bind(&own).unwrap();
+        assert_eq!(folder.notes("arm").unwrap(), unreadable, "a socket");
+        drop(socket);
+        folder.leave_note("arm", "one").unwrap();
+        assert_eq!(folder.notes("arm").unwrap(), BTreeMap::from([(me, Some("one".to_owned()))]));
+        std::fs::remove_file(&own).unwrap();
+        symlink("/etc/passwd", &own).unwrap();
+        assert_eq!(folder.notes("arm").unwrap(), unreadable, "a link");
+        std::fs::remove_file(&own).unwrap();
+        nix::unistd::mkfifo(&own, Mode::S_IRWXU).unwrap();
+        assert_eq!(folder.notes("arm").unwrap(), unreadable, "a pipe");
+        std::fs::remove_file(&own).unwrap();
+        std::fs::create_dir(&own).unwrap();
+        assert_eq!(folder.notes("arm").unwrap(), unreadable, "a folder");
+        let error = folder.leave_note("arm", "two").unwrap_err().to_string();
+        assert!(error.contains(&own.display().to_string()) && error.contains("remove it"), "{error}");
+    }
+
+    #[test]
     fn a_folder_that_another_process_is_just_creating_is_waited_for() {
         let place = tempfile::tempdir().unwrap();
         let path = place.path().join("notes");
@@ -198,7 +224,7 @@ mod tests {
             let path = path.clone();
             move || SharedFolder::open(&path)
         });
-        sleep(CREATION / 5);
+        sleep(2 * CREATION_LOOK);
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o1777)).unwrap();
         opened.join().unwrap().unwrap();
     }

@@ -2,6 +2,9 @@
 //!
 //! A supervisor writes orders to the process's standard input, a line each. The end of that input means that the
 //! supervisor is gone: the process stops. SIGINT and SIGTERM stop it as well. The robot takes orders from a socket, too.
+//!
+//! A signal overtakes orders that were written before it. So the process ends only once it has read what there is, and an
+//! order to stop the arm that was given before the end is not lost.
 
 use std::collections::VecDeque;
 use std::io::PipeReader;
@@ -21,7 +24,7 @@ use crate::orders::{Asker, MAXIMUM_LINE_LENGTH, Order, OrderSocket};
 /// Why a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wake {
-    /// The process is to stop.
+    /// The process is to stop. No order to stop the arm is left that came before.
     Stop,
     /// There is a message.
     Message,
@@ -122,7 +125,7 @@ impl Control {
     ) -> Result<Wake, ProcessError> {
         loop {
             if self.is_stopped() {
-                return Ok(Wake::Stop);
+                return Ok(self.last_stop()?.map_or(Wake::Stop, Wake::Order));
             }
             if let Some(order) = self.take_order() {
                 return Ok(Wake::Order(order));
@@ -161,6 +164,53 @@ impl Control {
         }
     }
 
+    /// The next order to stop the arm among all that have come; the others are passed over. For a process that is about to
+    /// end. It does not wait.
+    ///
+    /// # Errors
+    ///
+    /// When standard input cannot be read.
+    pub fn last_stop(&mut self) -> Result<Option<Order>, ProcessError> {
+        loop {
+            while let Some(order) = self.take_order() {
+                if order.stops_the_arm() {
+                    return Ok(Some(order));
+                }
+            }
+            if self.has_input()? {
+                self.read_orders()?;
+                continue;
+            }
+            match self.socket.as_mut().and_then(OrderSocket::receive) {
+                Some(order) if order.stops_the_arm() => return Ok(Some(order)),
+                Some(_) => {}
+                None => return Ok(None),
+            }
+        }
+    }
+
+    /// Takes no more orders by the socket; those that have come can still be taken, and answered. Whoever gives one from
+    /// now on is told that there is no such session.
+    pub fn stop_listening(&mut self) {
+        if let Some(socket) = &self.socket {
+            socket.close();
+        }
+    }
+
+    /// Whether standard input can be read without waiting, and has not come to its end before.
+    fn has_input(&self) -> Result<bool, ProcessError> {
+        if self.is_abandoned {
+            return Ok(false);
+        }
+        let standard_input = std::io::stdin();
+        let mut looked_at = [PollFd::new(standard_input.as_fd(), PollFlags::POLLIN)];
+        match ppoll(&mut looked_at, Some(std::time::Duration::ZERO.into()), None) {
+            Ok(_) => Ok(looked_at[0].any() == Some(true)),
+            Err(Errno::EINTR) => Ok(true),
+            Err(error) => Err(ProcessError::Wait(error)),
+        }
+    }
+
     /// The next order that was kept or read so far; lines that are no order of ours are passed over.
     fn take_order(&mut self) -> Option<Order> {
         if let Some(order) = self.kept.pop_front() {
@@ -192,5 +242,37 @@ impl Control {
             Err(error) => return Err(ProcessError::Orders(error)),
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use nix::sys::signal::{Signal, raise};
+
+    use super::*;
+
+    #[test]
+    fn an_order_to_stop_the_arm_that_came_before_the_end_is_given_before_it() {
+        let (reader, mut supervisor) = std::io::pipe().unwrap();
+        nix::unistd::dup2_stdin(&reader).unwrap();
+        let mut control = Control::install().unwrap();
+        supervisor.write_all(b"alive\n").unwrap();
+        assert_eq!(control.wait(None, None).unwrap(), Wake::Order(Order::Alive));
+        // More than is read in one piece.
+        supervisor.write_all(&b"alive\n".repeat(100)).unwrap();
+        supervisor.write_all(b"stop\narm\n").unwrap();
+        raise(Signal::SIGTERM).unwrap();
+        assert_eq!(control.wait(None, None).unwrap(), Wake::Order(Order::Stop));
+        assert_eq!(control.wait(None, None).unwrap(), Wake::Stop);
+        control.keep([Order::Start, Order::Stop]);
+        assert_eq!(control.wait(None, None).unwrap(), Wake::Order(Order::Stop));
+        supervisor.write_all(b"stage-ended\n").unwrap();
+        assert!(!control.is_abandoned());
+        drop(supervisor);
+        assert_eq!(control.wait(None, None).unwrap(), Wake::Order(Order::StageEnded));
+        assert_eq!(control.wait(None, None).unwrap(), Wake::Stop);
+        assert!(control.is_abandoned());
     }
 }

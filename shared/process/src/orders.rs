@@ -54,6 +54,10 @@ impl Order {
         }
     }
 
+    pub(crate) fn stops_the_arm(self) -> bool {
+        matches!(self, Order::Stop | Order::StageEnded)
+    }
+
     pub(crate) fn parse(line: &str) -> Option<Order> {
         match line.trim() {
             "start" => Some(Order::Start),
@@ -187,6 +191,12 @@ impl OrderSocket {
         }
     }
 
+    /// Takes no more datagrams; those that have come can still be received.
+    pub(crate) fn close(&self) {
+        // A socket that is bound, as this one, can be shut down.
+        let _ = self.socket.socket.shutdown(std::net::Shutdown::Read);
+    }
+
     /// Who gave the newest order, and waits for an answer.
     pub(crate) fn take_asker(&mut self) -> Option<Asker> {
         self.asker.take().map(Asker)
@@ -232,7 +242,10 @@ pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Re
     let mut own = Socket::new(socket).map_err(failed)?;
     match own.send(&order.line(), &to) {
         Ok(_) => {}
-        Err(Errno::ECONNREFUSED) => return Err(FindError::NotRunning { session: session.clone() }.into()),
+        // The second when its robot process is about to end.
+        Err(Errno::ECONNREFUSED | Errno::EPIPE) => {
+            return Err(FindError::NotRunning { session: session.clone() }.into());
+        }
         // Its queue is full of orders that it does not take.
         Err(Errno::EAGAIN) => return Err(OrderError::NoAnswer(session.clone())),
         Err(error) => return Err(system(error)),
@@ -299,6 +312,18 @@ mod tests {
         assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoAnswer(_))));
         drop(robot);
         assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::Find(_))));
+    }
+
+    #[test]
+    fn a_socket_that_is_closed_refuses_orders_and_still_gives_those_that_came_before() {
+        let session: SessionName = format!("closed-{}", std::process::id()).parse().unwrap();
+        let mut robot = OrderSocket::open(&session).unwrap();
+        let early = Socket::new(UnixDatagram::unbound().unwrap()).unwrap();
+        early.send("stop", &address(&session)).unwrap();
+        robot.close();
+        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::Find(_))));
+        assert_eq!(robot.receive(), Some(Order::Stop));
+        assert_eq!(robot.receive(), None);
     }
 
     fn address(session: &SessionName) -> UnixAddr {

@@ -140,23 +140,25 @@ fn hear(robot: &RobotLine, events: &Sender<Event>, with_gestures: bool) {
             Ok(0) | Err(_) => 0,
             Ok(count) => count,
         };
-        let sent = match meaning(&bytes[..count], with_gestures) {
-            _ if count == 0 => quit(robot, events),
-            Some(Key::Stop) => {
+        let is_heard = |key: &Key| match *key {
+            Key::Stop => {
                 robot.order(Order::Stop);
                 true
             }
-            Some(Key::Arm) => {
+            Key::Arm => {
                 robot.order(Order::Arm);
                 true
             }
-            Some(Key::Quit) => quit(robot, events),
-            Some(Key::Gesture(gesture)) => {
+            Key::Quit => quit(robot, events),
+            Key::Gesture(gesture) => {
                 events.send(Event::Order(Stage::Acquisition, Order::Gesture(gesture))).is_ok()
             }
-            None => true,
         };
-        if count == 0 || !sent {
+        if count == 0 {
+            quit(robot, events);
+            return;
+        }
+        if !meaning(&bytes[..count], with_gestures).iter().all(is_heard) {
             return;
         }
     }
@@ -173,10 +175,16 @@ fn wait_for_input(timeout: PollTimeout) -> bool {
     poll(&mut [PollFd::new(input.as_fd(), PollFlags::POLLIN)], timeout).is_ok_and(|count| count > 0)
 }
 
-/// What these bytes mean together: a stop among them comes before all else.
-fn meaning(bytes: &[u8], with_gestures: bool) -> Option<Key> {
+/// What these bytes mean together, in the order in which to obey: a stop comes before all else, and counts also where the
+/// session is to end.
+fn meaning(bytes: &[u8], with_gestures: bool) -> Vec<Key> {
+    let is_stop = bytes.contains(&b' ');
+    if bytes.first() == Some(&ESCAPE) {
+        // Alone it quits; an arrow key sends it before other bytes, which mean nothing here.
+        let is_alone = bytes.len() == 1 && !wait_for_input(PollTimeout::from(SEQUENCE_MS));
+        return is_stop.then_some(Key::Stop).into_iter().chain(is_alone.then_some(Key::Quit)).collect();
+    }
     let keys = bytes.iter().map(|byte| match *byte {
-        b' ' => Some(Key::Stop),
         // Also what ends or stops a program elsewhere: Ctrl-\\ and Ctrl-Z.
         CONTROL_C | CONTROL_BACKSLASH | CONTROL_Z | b'q' | b'Q' => Some(Key::Quit),
         b'a' | b'A' => Some(Key::Arm),
@@ -189,14 +197,13 @@ fn meaning(bytes: &[u8], with_gestures: bool) -> Option<Key> {
         _ => None,
     });
     let is_heard = |key: &Key| with_gestures || !matches!(key, Key::Gesture(_));
-    if bytes.first() == Some(&ESCAPE) {
-        // Alone it quits; an arrow key sends it before other bytes, which mean nothing here.
-        let is_alone = bytes.len() == 1 && !wait_for_input(PollTimeout::from(SEQUENCE_MS));
-        return is_alone.then_some(Key::Quit);
-    }
     let keys: Vec<Key> = keys.flatten().filter(is_heard).collect();
-    let first_of = |wanted: Key| keys.iter().copied().find(|key| *key == wanted);
-    first_of(Key::Quit).or(first_of(Key::Stop)).or(keys.last().copied())
+    match (is_stop, keys.contains(&Key::Quit)) {
+        (true, true) => vec![Key::Stop, Key::Quit],
+        (true, false) => vec![Key::Stop],
+        (false, true) => vec![Key::Quit],
+        (false, false) => keys.last().copied().into_iter().collect(),
+    }
 }
 
 #[cfg(test)]
@@ -205,15 +212,23 @@ mod tests {
 
     #[test]
     fn keys_mean_what_the_help_line_says_and_a_stop_comes_before_all_else() {
-        assert_eq!(meaning(b" ", false), Some(Key::Stop));
-        assert_eq!(meaning(b"a", false), Some(Key::Arm));
-        assert_eq!(meaning(b"q", false), Some(Key::Quit));
-        assert_eq!(meaning(&[CONTROL_C], false), Some(Key::Quit));
-        assert_eq!(meaning(b"x", false), None);
-        assert_eq!(meaning(b"e", false), None);
-        assert_eq!(meaning(b"e", true), Some(Key::Gesture(Gesture::Extension)));
-        assert_eq!(meaning(b"an r", true), Some(Key::Stop));
-        assert_eq!(meaning(b"aa", true), Some(Key::Arm));
-        assert_eq!(meaning(b"\x1b[A", false), None, "an arrow key");
+        assert_eq!(meaning(b" ", false), [Key::Stop]);
+        assert_eq!(meaning(b"a", false), [Key::Arm]);
+        assert_eq!(meaning(b"q", false), [Key::Quit]);
+        assert_eq!(meaning(&[CONTROL_C], false), [Key::Quit]);
+        assert_eq!(meaning(b"x", false), []);
+        assert_eq!(meaning(b"e", false), []);
+        assert_eq!(meaning(b"e", true), [Key::Gesture(Gesture::Extension)]);
+        assert_eq!(meaning(b"an r", true), [Key::Stop]);
+        assert_eq!(meaning(b"aa", true), [Key::Arm]);
+        assert_eq!(meaning(b"\x1b[A", false), [], "an arrow key");
+    }
+
+    #[test]
+    fn a_stop_counts_whatever_comes_with_it() {
+        for bytes in [&b" q"[..], b"q ", b" \x03", b"a q"] {
+            assert_eq!(meaning(bytes, false), [Key::Stop, Key::Quit], "{bytes:?}");
+        }
+        assert_eq!(meaning(b"\x1b ", false), [Key::Stop]);
     }
 }

@@ -12,6 +12,7 @@
 
 mod arm_stops;
 mod children;
+mod failure;
 mod find;
 mod keys;
 mod progress;
@@ -22,8 +23,9 @@ mod writer;
 
 pub use arm_stops::{is_found_waiting, stop_words};
 pub use children::{ChildrenError, Event, check_source_program};
+pub use failure::SessionFailure;
 pub use find::{BecomeOwnerError, become_owner};
 pub use keys::{Keyboard, KeyboardError, stop_on_signals};
 pub use robot_line::RobotLine;
-pub use watch::{SessionFailure, Turn, Usage, Watch};
+pub use watch::{Turn, Usage, Watch};
 pub use writer::{OutputError, Writer};

@@ -7,8 +7,6 @@
 //! ```
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
-use std::process::ExitStatus;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
@@ -16,12 +14,13 @@ use tendon_config::{Backend, Config, Source};
 use tendon_gesture::Strategy;
 use tendon_messages::{ArmPhase, Stage};
 use tendon_observer::{Observer, State};
-use tendon_process::{Order, Ready, with_causes};
+use tendon_process::{Order, Ready};
 use tendon_report::SessionEvent;
-use tendon_transport::{Delivery, Leftovers, ReceiveError, SharedFiles, shared_memory_directory};
+use tendon_transport::{Delivery, Leftovers, SharedFiles};
 
 use crate::arm_stops::ArmStops;
 use crate::children::{Children, ChildrenError, Event, StageEnd};
+use crate::failure::SessionFailure;
 use crate::progress::ProgressWatch;
 use crate::resources;
 use crate::robot_line::RobotLine;
@@ -43,74 +42,6 @@ const LAST_OF_RECORDING: Duration = Duration::from_secs(1);
 const DEAD_OBSERVERS_INTERVAL: Duration = Duration::from_secs(5);
 /// Time between two looks at the session's files.
 const FILES_INTERVAL: Duration = Duration::from_secs(1);
-
-/// What ends a session before its time.
-#[derive(Debug, thiserror::Error)]
-pub enum SessionFailure {
-    /// Stages took too long to start.
-    #[error("{who} not ready after {} s: TENDON_LOG=debug shows more", timeout.as_secs())]
-    NotReady {
-        /// Names of the stages.
-        who: String,
-        /// How long they had.
-        timeout: Duration,
-    },
-    /// A stage ended by itself and is not started again. It has said itself why.
-    #[error("{} ended ({status}): the session is stopped", stage.name())]
-    StageEnded {
-        /// Which stage.
-        stage: Stage,
-        /// How it ended.
-        status: ExitStatus,
-        /// Whether it did so before all were ready.
-        at_start: bool,
-        /// The last line that it wrote to standard error, which the terminal has shown; empty if it wrote none.
-        last_words: String,
-    },
-    /// Files without which the stages do not reach each other are gone.
-    #[error(
-        "the session's files in {} were deleted while it ran ({} is gone): its stages no longer reach each other, so it \
-         is stopped. Start it again, and keep {0}/tendon.* from whatever cleans up there",
-        shared_memory_directory().display(),
-        file.display()
-    )]
-    FileDeleted {
-        /// One of them.
-        file: PathBuf,
-    },
-    /// Stages had to be killed at the end.
-    #[error("{names} did not stop and had to be killed")]
-    Killed {
-        /// Names of the stages.
-        names: String,
-    },
-    /// A stage could not be started or reaped.
-    #[error(transparent)]
-    Children(#[from] ChildrenError),
-    /// What the stages say could not be read.
-    #[error("cannot read what the stages say")]
-    Observer(#[from] ReceiveError),
-}
-
-impl SessionFailure {
-    /// Whether a stage could not start with what it was given, such as a model that does not fit.
-    pub fn is_input(&self) -> bool {
-        match self {
-            SessionFailure::StageEnded { status, at_start, .. } => *at_start && status.code() == Some(2),
-            _ => false,
-        }
-    }
-
-    /// The reason as a report says it: with what a stage that ended had said of it itself.
-    pub fn reason(&self) -> String {
-        match self {
-            SessionFailure::StageEnded { last_words, .. } if !last_words.is_empty() => {
-                format!("{last_words}; {self}")
-            }
-            _ => with_causes(self),
-        }
-    }
-}
 
 /// Whether a session goes on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -14,6 +14,26 @@ pub(super) const ARM_SILENCE_NS: u64 = 300_000_000;
 const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
 
 impl Controller {
+    /// More about this reason to stop than it says itself: what the guard measured, or the arm's own words.
+    pub fn explanation(&self, reason: StopReason) -> Option<String> {
+        use StopReason::{NeverConnected, NotReady, TakenOver, UnsupportedArm, VelocityRefused};
+        match reason {
+            NeverConnected | NotReady | TakenOver | UnsupportedArm | VelocityRefused => {
+                self.arm.explanation()
+            }
+            _ => {
+                let found = self.violation.filter(|violation| reason_of(*violation) == reason);
+                found.map(|violation| violation.to_string())
+            }
+        }
+    }
+
+    /// What the guard found, once for every stop by it.
+    pub fn take_violation(&mut self) -> Option<LimitViolation> {
+        let was_told = std::mem::replace(&mut self.is_violation_told, true);
+        self.violation.filter(|_| !was_told)
+    }
+
     pub(super) fn is_supervisor_silent(&self, now_ns: u64) -> bool {
         self.settings.stale_ns.is_some()
             && self
@@ -95,7 +115,7 @@ impl Controller {
 }
 
 /// The reason to stop that this violation is.
-pub(super) fn reason_of(violation: LimitViolation) -> StopReason {
+fn reason_of(violation: LimitViolation) -> StopReason {
     match violation {
         LimitViolation::JointLimit { .. } => StopReason::JointLimit,
         LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
