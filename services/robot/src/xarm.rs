@@ -244,6 +244,7 @@ impl Arm for XArm {
             error_code: self.status.error().map(|fault| fault.code),
             joints_rad: self.joints_rad(),
             silent_ns: u64::try_from(silence.as_nanos()).unwrap_or(u64::MAX),
+            report_age_ns: self.status.reported_at.map_or(0, |at| at.elapsed().as_nanos() as u64),
             speed_mm_per_s: self.speed_mm_per_s,
             is_stopped: self.status.report.is_some_and(|report| report.state == ArmState::Stopped),
             gripper_pulses: gripper.map(|gripper| f64::from(gripper.position_pulses)),

@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector3;
 
+use crate::course::{Course, Recent};
 use crate::kinematics::{JointLimits, JointVector, XArm7};
 use crate::{ArmSettings, Twist};
 
@@ -49,13 +50,19 @@ const BRAKING_NS: u64 = 350_000_000;
 /// The measured velocity may lie outside the told range by this much, in mm/s, plus this share of the greatest told
 /// speed.
 const OFF_MM_PER_S: f64 = 20.0;
-const OFF_SHARE: f64 = 0.3;
+pub(crate) const OFF_SHARE: f64 = 0.3;
 
 /// How far the tip of a tool, which a told rotation keeps in place, may be from the flange, in mm.
-const TOOL_REACH_MM: f64 = 300.0;
+pub(crate) const TOOL_REACH_MM: f64 = 300.0;
 
-/// A guard that has not looked for so long, in ns, does not know what the arm was told meanwhile.
-const GAP_NS: u64 = 50_000_000;
+/// An arm that gives no sign of life for so long, in ns, may have come to rest by itself: a velocity lasts no longer.
+const UNHEARD_NS: u64 = 150_000_000;
+
+/// A way is measured from a report that is no older than this, in ns: after a stall the arm is elsewhere by now.
+const FRESH_NS: u64 = 50_000_000;
+
+/// What the arm was told is not known if the guard has not looked for so long, in ns.
+const GAP_NS: u64 = 100_000_000;
 
 /// An arm is not where, or not as fast, as it should be.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -116,6 +123,26 @@ pub enum LimitViolation {
         /// The greatest.
         highest_mm_per_s: f64,
     },
+    /// The flange is not where its commands have led it.
+    #[error(
+        "the flange is {off_mm:.0} mm from where its commands have led it: find out what holds or pulls the arm, then run \
+         `tendon arm`"
+    )]
+    OffCourse {
+        /// How far off it is, in mm.
+        off_mm: f64,
+    },
+    /// A joint is not where its commands have led it.
+    #[error(
+        "joint {joint} is {off_deg:.0}° from where its commands have led it: find out what holds or pulls the arm, then \
+         run `tendon arm`"
+    )]
+    JointOffCourse {
+        /// Number of the joint, 1 to 7.
+        joint: usize,
+        /// How far off it is, in degrees.
+        off_deg: f64,
+    },
     /// The flange is faster than any command allows.
     #[error(
         "the flange moves at {speed_mm_per_s:.0} mm/s, faster than it was told: find out what else drives the arm, \
@@ -132,19 +159,22 @@ pub enum LimitViolation {
 pub struct Told {
     /// The velocity of the flange.
     pub velocity: Twist,
-    /// Whether it may not have heard of that, and have come to rest by itself.
-    pub may_be_unheard: bool,
+    /// The velocities of the joints, if it was told these.
+    pub joints_rad_per_s: Option<JointVector>,
+    /// For how long the arm has given no sign of life, in ns.
+    pub silent_ns: u64,
 }
 
 impl Told {
-    /// A velocity that the arm has heard of.
+    /// A velocity of the flange, told to an arm that answers at once.
     pub fn velocity(velocity: Twist) -> Told {
-        Told { velocity, may_be_unheard: false }
+        Told { velocity, joints_rad_per_s: None, silent_ns: 0 }
     }
 
     fn is_rest(&self) -> bool {
-        let Told { velocity, .. } = self;
-        velocity.linear_speed_mm_per_s() < REST_MM_PER_S
+        let Told { velocity, joints_rad_per_s, .. } = self;
+        joints_rad_per_s.is_none_or(|velocities| velocities == JointVector::zeros())
+            && velocity.linear_speed_mm_per_s() < REST_MM_PER_S
             && velocity.angular_speed_rad_per_s() * TOOL_REACH_MM < REST_MM_PER_S
     }
 }
@@ -158,19 +188,22 @@ struct ToldRange {
     /// The greatest speeds.
     linear_mm_per_s: f64,
     angular_rad_per_s: f64,
+    /// The longest silence of the arm.
+    silent_ns: u64,
 }
 
 impl ToldRange {
-    fn of(told: &Told) -> ToldRange {
+    fn of(told: &Told, may_be_unheard: bool) -> ToldRange {
         let linear_mm_per_s = Vector3::from(told.velocity.linear_mm_per_s);
         let zero = Vector3::zeros();
         let (or_lowest, or_highest) =
-            if told.may_be_unheard { (zero, zero) } else { (linear_mm_per_s, linear_mm_per_s) };
+            if may_be_unheard { (zero, zero) } else { (linear_mm_per_s, linear_mm_per_s) };
         ToldRange {
             lowest_mm_per_s: linear_mm_per_s.inf(&or_lowest),
             highest_mm_per_s: linear_mm_per_s.sup(&or_highest),
             linear_mm_per_s: linear_mm_per_s.norm(),
             angular_rad_per_s: told.velocity.angular_speed_rad_per_s(),
+            silent_ns: told.silent_ns,
         }
     }
 
@@ -180,6 +213,7 @@ impl ToldRange {
             highest_mm_per_s: self.highest_mm_per_s.sup(&other.highest_mm_per_s),
             linear_mm_per_s: self.linear_mm_per_s.max(other.linear_mm_per_s),
             angular_rad_per_s: self.angular_rad_per_s.max(other.angular_rad_per_s),
+            silent_ns: self.silent_ns.max(other.silent_ns),
         }
     }
 }
@@ -217,6 +251,7 @@ pub struct Guard {
     resting_since_ns: Option<u64>,
     /// Where the flange came to rest, mm.
     rested_at_mm: Option<Vector3<f64>>,
+    course: Course,
     was_inside: bool,
 }
 
@@ -233,6 +268,7 @@ impl Guard {
             looked_ns: 0,
             resting_since_ns: None,
             rested_at_mm: None,
+            course: Course::default(),
             was_inside: false,
         }
     }
@@ -242,7 +278,8 @@ impl Guard {
         self.joint_limits = limits;
     }
 
-    /// Checks a report of joint angles (rad) that was looked at at `now_ns`, when the arm had been told `told`.
+    /// Checks the newest report of joint angles (rad) at `now_ns`. It came at `reported_ns`, and the arm has been told
+    /// `told`.
     ///
     /// A flange that was outside the workspace from the beginning, or since [`Guard::reset`], may be there until it is
     /// inside for the first time: otherwise nothing could drive it back.
@@ -252,13 +289,38 @@ impl Guard {
     pub fn check(
         &mut self,
         now_ns: u64,
+        reported_ns: u64,
         joints_rad: &JointVector,
         told: &Told,
     ) -> Result<(), LimitViolation> {
         self.check_joints(joints_rad)?;
         let position_mm = self.arm.flange_pose_m(joints_rad).translation.vector * 1e3;
         self.check_box(&position_mm)?;
-        self.check_motion(now_ns, position_mm, told)
+        let passed_ns = now_ns.saturating_sub(self.looked_ns);
+        self.looked_ns = now_ns;
+        if told.is_rest() {
+            self.resting_since_ns.get_or_insert(now_ns);
+        } else {
+            self.resting_since_ns = None;
+        }
+        let may_be_unheard = told.silent_ns > UNHEARD_NS || passed_ns > GAP_NS;
+        self.keep(reported_ns, position_mm, ToldRange::of(told, may_be_unheard));
+        self.check_speed(reported_ns, &position_mm)?;
+        self.check_drift(now_ns, &position_mm, told.velocity, passed_ns)?;
+        self.check_velocity(reported_ns, &position_mm)?;
+        if may_be_unheard {
+            self.course.begin_anew();
+            return Ok(());
+        }
+        let is_fresh = now_ns.saturating_sub(reported_ns) <= FRESH_NS;
+        if self.course.is_begun() || is_fresh {
+            let recent = self.recent(reported_ns);
+            self.course.check(passed_ns as f64 * 1e-9, &position_mm, joints_rad, told, &recent)?;
+        }
+        if self.has_braked(now_ns) {
+            self.course.begin_anew();
+        }
+        Ok(())
     }
 
     fn check_joints(&self, joints_rad: &JointVector) -> Result<(), LimitViolation> {
@@ -289,26 +351,6 @@ impl Guard {
         Ok(())
     }
 
-    fn check_motion(
-        &mut self,
-        now_ns: u64,
-        position_mm: Vector3<f64>,
-        told: &Told,
-    ) -> Result<(), LimitViolation> {
-        let passed_ns = now_ns.saturating_sub(self.looked_ns);
-        self.looked_ns = now_ns;
-        if told.is_rest() {
-            self.resting_since_ns.get_or_insert(now_ns);
-        } else {
-            self.resting_since_ns = None;
-        }
-        let may_be_unheard = told.may_be_unheard || passed_ns > GAP_NS;
-        self.keep(now_ns, position_mm, ToldRange::of(&Told { may_be_unheard, ..*told }));
-        self.check_speed(now_ns, &position_mm)?;
-        self.check_drift(now_ns, &position_mm, told.velocity, passed_ns)?;
-        self.check_velocity(now_ns, &position_mm)
-    }
-
     fn check_speed(&self, now_ns: u64, position_mm: &Vector3<f64>) -> Result<(), LimitViolation> {
         let Some(from) = self.kept_before(now_ns, SPEED_OVER_NS) else { return Ok(()) };
         let speed_mm_per_s = from.velocity_to_mm_per_s(now_ns, position_mm).norm();
@@ -330,7 +372,7 @@ impl Guard {
         told_velocity: Twist,
         passed_ns: u64,
     ) -> Result<(), LimitViolation> {
-        if self.resting_since_ns.is_none_or(|since_ns| now_ns < since_ns + BRAKING_NS) {
+        if !self.has_braked(now_ns) {
             self.rested_at_mm = None;
             return Ok(());
         }
@@ -342,6 +384,22 @@ impl Guard {
             return Err(LimitViolation::Drifted { way_mm });
         }
         Ok(())
+    }
+
+    /// Whether the arm has been told to rest for so long that it must be at rest.
+    fn has_braked(&self, now_ns: u64) -> bool {
+        self.resting_since_ns.is_some_and(|since_ns| now_ns >= since_ns + BRAKING_NS)
+    }
+
+    /// What the arm may still be following.
+    fn recent(&self, reported_ns: u64) -> Recent {
+        let recent = self.kept.iter().rev().take_while(|kept| kept.at_ns + BRAKING_NS >= reported_ns);
+        let none = Recent { linear_mm_per_s: 0.0, angular_rad_per_s: 0.0, silent_s: 0.0 };
+        recent.fold(none, |recent, kept| Recent {
+            linear_mm_per_s: recent.linear_mm_per_s.max(kept.told.linear_mm_per_s),
+            angular_rad_per_s: recent.angular_rad_per_s.max(kept.told.angular_rad_per_s),
+            silent_s: recent.silent_s.max(kept.told.silent_ns as f64 * 1e-9),
+        })
     }
 
     /// See the picture at the top.
@@ -395,6 +453,7 @@ impl Guard {
         self.kept.clear();
         self.resting_since_ns = None;
         self.rested_at_mm = None;
+        self.course.begin_anew();
         self.was_inside = false;
     }
 }
@@ -406,7 +465,7 @@ mod tests {
     use crate::velocity::joint_velocities;
 
     const MS: u64 = 1_000_000;
-    const REST: Told = Told { velocity: Twist::ZERO, may_be_unheard: false };
+    const REST: Told = Told { velocity: Twist::ZERO, joints_rad_per_s: None, silent_ns: 0 };
 
     fn guard() -> (Guard, JointVector) {
         let settings = ArmSettings::default();
@@ -441,7 +500,7 @@ mod tests {
     ) -> Option<(u64, LimitViolation)> {
         let (mut guard, _) = guard();
         path(moves).take(steps).enumerate().find_map(|(step, (now_ns, joints_rad))| {
-            let violation = guard.check(now_ns, &joints_rad, &told(step as u64)).err()?;
+            let violation = guard.check(now_ns, now_ns, &joints_rad, &told(step as u64)).err()?;
             Some((now_ns / MS, violation))
         })
     }
@@ -456,24 +515,27 @@ mod tests {
     fn a_joint_beyond_its_limit_is_named() {
         let (mut guard, mut joints) = guard();
         joints[3] = UPPER_LIMITS_RAD[3] + 0.009;
-        assert_eq!(guard.check(0, &joints, &REST), Ok(()));
+        assert_eq!(guard.check(0, 0, &joints, &REST), Ok(()));
         joints[3] = UPPER_LIMITS_RAD[3] + 0.011;
-        let violation = guard.check(0, &joints, &REST).unwrap_err();
+        let violation = guard.check(0, 0, &joints, &REST).unwrap_err();
         assert!(matches!(violation, LimitViolation::JointLimit { joint: 4, .. }));
         assert!(
             violation.to_string().contains("joint 4 is at 225.6°")
                 && violation.to_string().contains("tendon arm")
         );
         joints[3] = f64::NAN;
-        assert!(guard.check(0, &joints, &REST).is_err());
+        assert!(guard.check(0, 0, &joints, &REST).is_err());
         // The limits are those of the arm that is there.
         let (mut guard, mut joints) = self::guard();
         joints[1] = 2.035;
-        assert_eq!(guard.check(0, &joints, &REST), Ok(()));
+        assert_eq!(guard.check(0, 0, &joints, &REST), Ok(()));
         let mut limits = JointLimits::default();
         limits.upper_rad[1] = 2.0246;
         guard.set_joint_limits(limits);
-        assert!(matches!(guard.check(0, &joints, &REST), Err(LimitViolation::JointLimit { joint: 2, .. })));
+        assert!(matches!(
+            guard.check(0, 0, &joints, &REST),
+            Err(LimitViolation::JointLimit { joint: 2, .. })
+        ));
     }
 
     #[test]
@@ -481,13 +543,15 @@ mod tests {
         let (mut guard, _) = guard();
         let told = Told::velocity(along(2, 100.0));
         let found = moving(2, 100.0)
-            .find_map(|(now_ns, joints)| Some((guard.check(now_ns, &joints, &told).err()?, joints)));
+            .find_map(|(now_ns, joints)| Some((guard.check(now_ns, now_ns, &joints, &told).err()?, joints)));
         let (violation, outside) = found.unwrap();
         assert!(matches!(violation, LimitViolation::WorkspaceBox { axis: 'z', .. }));
         guard.reset();
-        assert_eq!(guard.check(0, &outside, &told), Ok(()));
-        assert_eq!(guard.check(4 * MS, &ArmSettings::default().start_joints_rad(), &told), Ok(()));
-        assert!(guard.check(8 * MS, &outside, &told).is_err());
+        assert_eq!(guard.check(0, 0, &outside, &told), Ok(()));
+        guard.course.begin_anew();
+        assert_eq!(guard.check(4 * MS, 4 * MS, &ArmSettings::default().start_joints_rad(), &told), Ok(()));
+        guard.course.begin_anew();
+        assert!(guard.check(8 * MS, 8 * MS, &outside, &told).is_err());
     }
 
     #[test]
@@ -499,14 +563,14 @@ mod tests {
         // A jump within less than 100 ms is an outlier of the report, or shows in the next measurement.
         let (mut guard, joints) = guard();
         let (_, aside) = moving(1, 100.0).nth(12).unwrap();
-        assert_eq!(guard.check(0, &joints, &REST), Ok(()));
-        assert_eq!(guard.check(4 * MS, &aside, &REST), Ok(()));
-        assert_eq!(guard.check(52 * MS, &aside, &REST), Ok(()));
+        assert_eq!(guard.check(0, 0, &joints, &REST), Ok(()));
+        assert_eq!(guard.check(4 * MS, 4 * MS, &aside, &REST), Ok(()));
+        assert_eq!(guard.check(52 * MS, 52 * MS, &aside, &REST), Ok(()));
     }
 
     #[test]
     fn an_arm_that_creeps_at_commanded_rest_is_found_within_100_ms_of_the_braking() {
-        for (speed_mm_per_s, expected_ms) in [(20.0, Some(452)), (60.0, Some(436))] {
+        for (speed_mm_per_s, expected_ms) in [(20.0, Some(452)), (60.0, Some(168))] {
             let found = found_ms(1000, |_| along(1, speed_mm_per_s), |_| REST);
             assert_eq!(found.map(|(at_ms, _)| at_ms), expected_ms, "{speed_mm_per_s} mm/s");
         }
@@ -515,8 +579,13 @@ mod tests {
         assert!((1350..1370).contains(&found_at_ms), "{found_at_ms}");
         assert!(matches!(violation, LimitViolation::Drifted { .. }));
         // One that comes to rest in time does not, whatever it was commanded before.
-        let until = |end: u64| move |step: u64| if step < end { along(1, 100.0) } else { Twist::ZERO };
-        assert_eq!(found_ms(1000, until(160), |step| Told::velocity(until(100)(step))), None);
+        let late = |lag: u64| {
+            move |step: u64| match step.checked_sub(lag) {
+                Some(0..100) => along(1, 100.0),
+                _ => Twist::ZERO,
+            }
+        };
+        assert_eq!(found_ms(1000, late(60), |step| Told::velocity(late(0)(step))), None);
         // Nor does one that follows a command so slow that it counts as rest.
         assert_eq!(found_ms(5000, |_| along(1, 0.9), |_| Told::velocity(along(1, 0.9))), None);
     }
@@ -532,10 +601,12 @@ mod tests {
         ] {
             let (at_ms, violation) = found_ms(1000, |_| moves, told).unwrap();
             assert!(at_ms <= within_ms, "{moves:?}: {at_ms} ms");
-            assert!(
-                matches!(violation, LimitViolation::NotFollowing { axis: found, .. } if found == axis),
-                "{violation}"
-            );
+            let is_named = match violation {
+                LimitViolation::NotFollowing { axis: found, .. } => found == axis,
+                LimitViolation::OffCourse { .. } => true,
+                _ => false,
+            };
+            assert!(is_named, "{violation}");
         }
         // In the middle of a long motion it takes less: the arm begins to go sideways after 2 s.
         let aside = |step: u64| Twist {
@@ -565,7 +636,91 @@ mod tests {
         let turn = Twist { angular_rad_per_s: [0.0, 0.0, 0.5], ..Twist::ZERO };
         assert_eq!(found_ms(400, |_| along(1, 100.0), |_| Told::velocity(turn)), None);
         // One that may not have heard what it was told may rest.
-        let unheard = |_| Told { velocity: along(1, 100.0), may_be_unheard: true };
+        let unheard = |_| Told { silent_ns: 200 * MS, ..Told::velocity(along(1, 100.0)) };
         assert_eq!(found_ms(1000, |_| Twist::ZERO, unheard), None);
+    }
+
+    #[test]
+    fn an_arm_that_is_held_through_short_motions_with_rests_is_found() {
+        for (motion, rest) in [(125, 125), (150, 100), (100, 60)] {
+            let told = |step: u64| {
+                Told::velocity(along(0, if step % (motion + rest) < motion { 50.0 } else { 0.0 }))
+            };
+            let (at_ms, violation) = found_ms(2000, |_| Twist::ZERO, told).unwrap();
+            assert!(matches!(violation, LimitViolation::OffCourse { .. }), "{violation}");
+            assert!(at_ms < 2000, "{motion} and {rest} steps: {at_ms} ms");
+        }
+    }
+
+    /// Whoever looks again after a stall sees an old report first.
+    #[test]
+    fn a_guard_that_stood_still_does_not_measure_from_an_old_report() {
+        let (mut guard, _) = guard();
+        let moving: Vec<(u64, JointVector)> = moving(1, 100.0).take(300).collect();
+        for (now_ns, joints_rad) in &moving[..100] {
+            let told = Told::velocity(along(1, 100.0));
+            assert_eq!(guard.check(*now_ns, *now_ns, joints_rad, &told), Ok(()));
+        }
+        let (stalled_ns, old_rad) = moving[99];
+        let (resumed_ns, new_rad) = (stalled_ns + 140 * MS, moving[134].1);
+        for step in 0..3 {
+            let now_ns = resumed_ns + step * 4 * MS;
+            assert_eq!(guard.check(now_ns, stalled_ns, &old_rad, &REST), Ok(()));
+        }
+        for step in 3..500 {
+            let now_ns = resumed_ns + step * 4 * MS;
+            assert_eq!(guard.check(now_ns, now_ns, &new_rad, &REST), Ok(()), "{step}");
+        }
+    }
+
+    /// Reports that come late, and then all at once, look like no fast arm.
+    #[test]
+    fn late_reports_are_measured_from_when_they_came() {
+        let (mut guard, _) = guard();
+        let told = Told::velocity(along(1, 100.0));
+        let path: Vec<(u64, JointVector)> = moving(1, 100.0).take(800).collect();
+        let mut reported = 0;
+        for (step, (now_ns, _)) in path.iter().enumerate() {
+            // Every second the reports stop for 200 ms.
+            if step % 250 >= 50 {
+                reported = step;
+            }
+            let (reported_ns, joints_rad) = path[reported];
+            let silent_ns = now_ns - reported_ns;
+            let told = Told { silent_ns, ..told };
+            assert_eq!(guard.check(*now_ns, reported_ns, &joints_rad, &told), Ok(()), "{step}");
+        }
+    }
+
+    #[test]
+    fn an_arm_on_a_slow_network_that_is_held_is_found() {
+        let told = |_| Told { silent_ns: 120 * MS, ..Told::velocity(along(1, 50.0)) };
+        let (at_ms, _) = found_ms(2000, |_| Twist::ZERO, told).unwrap();
+        assert!(at_ms < 1000, "{at_ms}");
+    }
+
+    #[test]
+    fn single_joints_that_go_elsewhere_are_found() {
+        let rates = JointVector::from([0.17, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1]);
+        let told = Told { joints_rad_per_s: Some(rates), ..REST };
+        for (name, moves) in [
+            ("held", JointVector::zeros()),
+            ("joint 7 reversed", JointVector::from([0.17, 0.0, 0.0, 0.0, 0.0, 0.0, -0.1])),
+            ("joint 2 turns as well", JointVector::from([0.17, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1])),
+        ] {
+            let (mut guard, mut joints_rad) = guard();
+            // What the flange is told does not matter here: the flange may go anywhere.
+            guard.most_mm_per_s = f64::INFINITY;
+            let found = (0..1000_u64).find_map(|step| {
+                let here = guard.arm.jacobian(&joints_rad) * moves;
+                let told = Told { velocity: Twist::from_vector_m(&here), ..told };
+                let violation = guard.check(step * 4 * MS, step * 4 * MS, &joints_rad, &told).err();
+                joints_rad += moves * 4e-3;
+                violation.map(|violation| (step * 4, violation))
+            });
+            let (at_ms, violation) = found.unwrap();
+            assert!(matches!(violation, LimitViolation::JointOffCourse { .. }), "{name}: {violation}");
+            assert!(at_ms < 1500, "{name}: {at_ms} ms");
+        }
     }
 }

@@ -17,6 +17,7 @@
 //! [`ArmSettings`]) and metres inside ([`kinematics`], [`velocity`]), which every name says.
 #![forbid(unsafe_code)]
 
+mod course;
 mod guard;
 pub mod kinematics;
 mod limits;

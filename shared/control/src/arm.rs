@@ -60,6 +60,8 @@ pub struct ArmReport {
     pub joints_rad: Option<JointVector>,
     /// For how long it has given no sign of life, ns.
     pub silent_ns: u64,
+    /// How long ago the report of the joint angles came, ns.
+    pub report_age_ns: u64,
     /// Speed of the flange in mm/s.
     pub speed_mm_per_s: f64,
     /// Whether it says that it is stopped and follows no velocities.

@@ -28,6 +28,10 @@ pub(crate) struct Body {
     pub refuses: Option<Stop>,
     /// The flange moves like this, whatever it is told.
     pub runaway: Twist,
+    /// Nothing moves, whatever it is told.
+    pub is_held: bool,
+    /// It reports these joint angles (rad), wherever it is.
+    pub frozen_at_rad: Option<JointVector>,
     pub gripper_target_pulses: Option<f64>,
     pub stops: u32,
     pub errors_cleared: u32,
@@ -79,6 +83,9 @@ impl Body {
             _ => {}
         }
         rates += joint_velocities(&self.kinematics, &self.joints_rad, &self.runaway).rad_per_s;
+        if self.is_held {
+            rates = JointVector::zeros();
+        }
         let before = self.position_mm();
         self.joints_rad += rates * STEP_S;
         let moved = self.position_mm();
@@ -105,6 +112,8 @@ impl FakeArm {
             up_at: None,
             refuses: None,
             runaway: Twist::ZERO,
+            is_held: false,
+            frozen_at_rad: None,
             gripper_target_pulses: None,
             stops: 0,
             errors_cleared: 0,
@@ -140,7 +149,7 @@ impl Arm for FakeArm {
     fn report(&self) -> ArmReport {
         let body = self.0.borrow();
         ArmReport {
-            joints_rad: Some(body.joints_rad),
+            joints_rad: Some(body.frozen_at_rad.unwrap_or(body.joints_rad)),
             told: body.motion.velocity(),
             halted_by_watchdog: body.motion.halted_by_watchdog(),
             obstacle: body.motion.obstacle(),

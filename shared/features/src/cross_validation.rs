@@ -67,13 +67,15 @@ impl CrossValidation {
         prior: Option<&Prior>,
         settings: &MethodSettings,
     ) -> Result<(), FitError> {
-        let (mut features, mut labels) = (Vec::with_capacity(training.features.len()), Vec::new());
+        let (mut features, mut labels, mut blocks) =
+            (Vec::with_capacity(training.features.len()), Vec::new(), Vec::new());
         let windows = || training.windows().zip(training.labels).zip(training.blocks);
-        for ((window, &label), _) in windows().filter(|(_, window_block)| **window_block != block) {
+        for ((window, &label), &of) in windows().filter(|(_, window_block)| **window_block != block) {
             features.extend_from_slice(window);
             labels.push(label);
+            blocks.push(of);
         }
-        let others = Training { features: &features, labels: &labels, blocks: &labels, ..*training };
+        let others = Training { features: &features, labels: &labels, blocks: &blocks, ..*training };
         let discriminant = Discriminant::fit(&others, prior, settings).map_err(|error| match error {
             FitError::TooFewWindows { class, .. } => FitError::CannotHoldOut { class, block },
             error => error,

@@ -1,6 +1,6 @@
 //! Everything that must hold while the arm is up, and what becomes of it when it does not.
 
-use tendon_arm::{LimitViolation, Told, Twist};
+use tendon_arm::{JointVector, LimitViolation, Told, Twist};
 use tendon_messages::{Permission, StopReason};
 
 use super::{Controller, Phase};
@@ -10,8 +10,6 @@ use crate::arm::{ArmReport, Link, Stop};
 const SUPERVISOR_SILENCE_NS: u64 = 120_000_000;
 /// After so long without a sign of life from the arm it is brought to rest, ns.
 pub(super) const ARM_SILENCE_NS: u64 = 300_000_000;
-/// An arm that has given no sign of life for so long, ns, may not have heard what it was told, and rest by itself.
-const UNHEARD_NS: u64 = 50_000_000;
 /// After so long without a sign of life from the arm the connection counts as broken, ns.
 const CONNECTION_SILENCE_NS: u64 = 1_000_000_000;
 
@@ -89,14 +87,9 @@ impl Controller {
             self.interrupt(StopReason::ArmSilent);
         }
         if let Some(joints_rad) = report.joints_rad {
-            let velocity = match self.phase {
-                Phase::GoingToStart(told_rad_per_s) => {
-                    Twist::from_vector_m(&(self.kinematics.jacobian(&joints_rad) * told_rad_per_s))
-                }
-                _ => report.told,
-            };
-            let told = Told { velocity, may_be_unheard: report.silent_ns > UNHEARD_NS };
-            if let Err(violation) = self.guard.check(now_ns, &joints_rad, &told) {
+            let reported_ns = now_ns.saturating_sub(report.report_age_ns);
+            let told = self.told(report, &joints_rad);
+            if let Err(violation) = self.guard.check(now_ns, reported_ns, &joints_rad, &told) {
                 self.violation = Some(violation);
                 self.is_violation_told = false;
                 return self.stop(Stop::because(reason_of(violation)));
@@ -107,6 +100,18 @@ impl Controller {
             self.interrupt(StopReason::NoCommands);
         }
     }
+
+    /// What the arm was told, as the guard wants it.
+    fn told(&self, report: &ArmReport, joints_rad: &JointVector) -> Told {
+        let silent_ns = report.silent_ns;
+        let Phase::GoingToStart(told_rad_per_s) = self.phase else {
+            return Told { velocity: report.told, joints_rad_per_s: None, silent_ns };
+        };
+        let twist = Twist::from_vector_m(&(self.kinematics.jacobian(joints_rad) * told_rad_per_s));
+        // The joints are told where the flange goes. Its rotation keeps no tool in place.
+        let velocity = Twist { angular_rad_per_s: [0.0; 3], ..twist };
+        Told { velocity, joints_rad_per_s: Some(told_rad_per_s), silent_ns }
+    }
 }
 
 /// The reason to stop that this violation is.
@@ -115,7 +120,9 @@ fn reason_of(violation: LimitViolation) -> StopReason {
         LimitViolation::JointLimit { .. } => StopReason::JointLimit,
         LimitViolation::WorkspaceBox { .. } => StopReason::WorkspaceBox,
         LimitViolation::Creeping { .. } | LimitViolation::Drifted { .. } => StopReason::Creeping,
-        LimitViolation::NotFollowing { .. } => StopReason::NotFollowing,
+        LimitViolation::NotFollowing { .. }
+        | LimitViolation::OffCourse { .. }
+        | LimitViolation::JointOffCourse { .. } => StopReason::NotFollowing,
         LimitViolation::OverSpeed { .. } => StopReason::OverSpeed,
     }
 }

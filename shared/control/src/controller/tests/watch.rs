@@ -148,6 +148,30 @@ fn an_arm_that_does_not_move_as_it_is_told_is_stopped_before_it_is_far() {
 }
 
 #[test]
+fn an_arm_that_does_not_go_to_its_start_as_it_is_told_is_stopped() {
+    let hold = |rig: &mut Rig| rig.arm.0.borrow_mut().is_held = true;
+    let freeze = |rig: &mut Rig| {
+        let mut body = rig.arm.0.borrow_mut();
+        body.frozen_at_rad = Some(body.joints_rad);
+    };
+    for (name, cause) in [("held", &hold as &dyn Fn(&mut Rig)), ("reports frozen", &freeze)] {
+        let mut rig = Rig::on_the_way();
+        let from_mm = rig.arm.0.borrow().position_mm();
+        cause(&mut rig);
+        rig.pass(1000);
+        assert_eq!(
+            (rig.permission(), rig.reason()),
+            (Permission::Stopped, Some(StopReason::NotFollowing)),
+            "{name}"
+        );
+        let to_mm = rig.arm.0.borrow().position_mm();
+        let way_mm = (0..3).map(|axis| (to_mm[axis] - from_mm[axis]).powi(2)).sum::<f64>().sqrt();
+        assert!(way_mm < 60.0, "{name}: {way_mm} mm");
+        rig.assert_stopped(StopReason::NotFollowing);
+    }
+}
+
+#[test]
 fn the_joint_limits_are_those_of_the_arm_that_is_there() {
     let mut rig = Rig::moving();
     assert_eq!(rig.permission(), Permission::Granted);
