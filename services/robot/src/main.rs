@@ -339,7 +339,8 @@ impl Robot {
     /// Stops the arm, and leaves a record if everything is in good order and the arm is at rest. If there was an order to
     /// stop, or the supervisor is gone, no record is left, even if it is not known which arm is there.
     fn leave(&mut self, process: &mut StageProcess) -> anyhow::Result<()> {
-        let is_in_good_order = self.controller.is_in_good_order();
+        // Nor does one linger whose supervisor is gone: the next session may have the same name.
+        let is_in_good_order = self.controller.is_in_good_order() && !process.control.is_abandoned();
         self.controller.end();
         let rest = if is_in_good_order && self.owned.is_some() { self.wait_for_rest(process)? } else { None };
         // So that an order to stop is either heard now, or refused.
@@ -370,7 +371,7 @@ impl Robot {
         let mut rest: Option<(u64, JointVector)> = None;
         while now_ns().saturating_sub(begun_ns) < LAST_STOP_NS {
             std::thread::sleep(Duration::from_nanos(STILL_PERIOD_NS));
-            if self.obey_last_stop(process)? {
+            if self.obey_last_stop(process)? || process.control.is_abandoned() {
                 return Ok(None);
             }
             let now_ns = now_ns();
