@@ -2,6 +2,7 @@
 
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
+use std::time::SystemTime;
 
 use tendon_messages::{BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATES, WINDOWS};
 use tendon_paths::runtime_folder;
@@ -21,8 +22,9 @@ pub struct SharedFiles {
 #[derive(Debug)]
 struct Watched {
     path: PathBuf,
-    /// Device and number of what was there first; another of the same name would not be it.
-    inode: Option<(u64, u64)>,
+    /// Device and number of what was there first, and when it was made: another of the same name is not it, even if it
+    /// has been given the same number.
+    inode: Option<(u64, u64, Option<SystemTime>)>,
 }
 
 impl Watched {
@@ -33,7 +35,7 @@ impl Watched {
     /// Whether it was there once and is gone.
     fn is_deleted(&mut self) -> bool {
         let metadata = std::fs::metadata(&self.path).ok();
-        let inode = metadata.map(|metadata| (metadata.dev(), metadata.ino()));
+        let inode = metadata.map(|metadata| (metadata.dev(), metadata.ino(), metadata.created().ok()));
         self.inode = self.inode.or(inode);
         self.inode != inode
     }
