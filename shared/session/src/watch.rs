@@ -38,8 +38,9 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const RESTART_TRIAL: Duration = Duration::from_secs(2);
 /// So long after the end of a recording nothing of it is under way any more.
 const LAST_OF_RECORDING: Duration = Duration::from_secs(1);
-/// Time between two looks for observers that were killed: each keeps one of the eight seats of a topic.
-const DEAD_OBSERVERS_INTERVAL: Duration = Duration::from_secs(5);
+/// Time between two looks for observers that were killed: each keeps one of the eight seats of a topic. A look takes
+/// some 10 ms of processor time.
+const DEAD_OBSERVERS_INTERVAL: Duration = Duration::from_secs(15);
 /// Time between two looks at the session's files.
 const FILES_INTERVAL: Duration = Duration::from_secs(1);
 
