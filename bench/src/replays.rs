@@ -2,7 +2,7 @@
 //! result, and none may take much longer than the others.
 
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -105,8 +105,10 @@ fn replay_once(program: &Path, settings: &Path, lane: usize) -> anyhow::Result<S
         .with_context(|| format!("cannot start {}", program.display()))?;
     let ended = wait(&mut tendon)?;
     let said = std::fs::read_to_string(directory.path().join("errors")).unwrap_or_default();
-    if !ended {
-        bail!("a replay hung for {PATIENCE:?}: {}", said.trim());
+    let status = ended.with_context(|| format!("a replay hung for {PATIENCE:?}: {}", said.trim()))?;
+    // A session that could not start writes a report, too.
+    if !status.success() {
+        bail!("a replay ended with {status}: {}", said.trim());
     }
     let text = std::fs::read_to_string(&path).with_context(|| format!("no report: {}", said.trim()))?;
     let report: Report = serde_json::from_str(&text).context("the report of `tendon run`")?;
@@ -114,18 +116,21 @@ fn replay_once(program: &Path, settings: &Path, lane: usize) -> anyhow::Result<S
         .context("the report of `tendon run`")
 }
 
-/// Waits for the end of a session; `false` when it hangs and was killed.
-fn wait(tendon: &mut Child) -> anyhow::Result<bool> {
+/// Waits for the end of a session; `None` when it hangs and was killed.
+fn wait(tendon: &mut Child) -> anyhow::Result<Option<ExitStatus>> {
     let begun = Instant::now();
-    while tendon.try_wait().context("cannot wait for `tendon run`")?.is_none() {
+    loop {
+        let status = tendon.try_wait().context("cannot wait for `tendon run`")?;
+        if status.is_some() {
+            return Ok(status);
+        }
         if begun.elapsed() > PATIENCE {
             tendon.kill().context("cannot end `tendon run`")?;
             tendon.wait().context("cannot wait for `tendon run`")?;
-            return Ok(false);
+            return Ok(None);
         }
         std::thread::sleep(LOOK);
     }
-    Ok(true)
 }
 
 fn judge(outcomes: &[Outcome]) -> anyhow::Result<Replays> {
