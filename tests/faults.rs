@@ -203,13 +203,7 @@ fn a_stage_that_dies_is_started_again_by_name_and_what_it_missed_is_counted() {
 fn a_stage_that_dies_again_and_again_ends_the_session_by_name() {
     let mut tendon = TendonBuilder::run(&unique_session()).start();
     tendon.wait_until_running();
-    wait_until("the session to give up", || {
-        if let Some(process) = tendon.find_stage("decision") {
-            // It may have ended by itself meanwhile, with the session.
-            let _ = kill(process, Signal::SIGKILL);
-        }
-        tendon.has_ended().then_some(())
-    });
+    tendon.kill_until_it_gives_up("decision");
     tendon.end().assert_failed(1, &["tendon: error:", "decision ended", "the session is stopped"]);
 }
 

@@ -5,7 +5,7 @@
 use std::fs;
 use std::path::Path;
 
-use nix::sys::signal::{Signal, kill};
+use nix::sys::signal::Signal;
 use serde_json::Value;
 use tendon_report::{Outcome, Report};
 use tendon_system_tests::recordings::{MOVEMENT, Stretch, write_table, write_three_dc};
@@ -214,12 +214,7 @@ fn a_session_that_is_ended_before_it_began_says_so() {
 fn a_session_that_breaks_off_says_why_in_its_report() {
     let mut tendon = TendonBuilder::run(&unique_session()).start();
     tendon.wait_until_running();
-    wait_until("the session to give up", || {
-        if let Some(process) = tendon.find_stage("decision") {
-            let _ = kill(process, Signal::SIGKILL);
-        }
-        tendon.has_ended().then_some(())
-    });
+    tendon.kill_until_it_gives_up("decision");
     let ended = tendon.end();
     assert_eq!(ended.exit_code, Some(1), "{ended:#?}");
     let report: Report = serde_json::from_str(ended.report_json.as_deref().unwrap()).unwrap();

@@ -340,6 +340,17 @@ impl Tendon {
         children_of(self.process.id()).into_iter().find(|(_, child)| *child == program).map(|found| found.0)
     }
 
+    /// Kills one stage again and again, until the session gives up.
+    pub fn kill_until_it_gives_up(&mut self, name: &str) {
+        wait_until("the session to give up", || {
+            if let Some(process) = self.find_stage(name) {
+                // It may have ended by itself meanwhile, with the session.
+                let _ = kill(process, Signal::SIGKILL);
+            }
+            self.has_ended().then_some(())
+        });
+    }
+
     /// Standard error so far.
     pub fn errors_so_far(&self) -> String {
         self.errors.so_far()

@@ -14,7 +14,7 @@ use tendon_recordings::Channel;
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
-use crate::options::{Base, channel};
+use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{counted, print, tell};
 use crate::progress::Progress;
 use crate::provenance::PROGRAM;
@@ -44,9 +44,6 @@ pub enum Command {
     #[command(verbatim_doc_comment)]
     Build(BuildOptions),
 }
-
-/// Keys of the configuration that a data set depends on.
-const KEYS: [&str; 3] = ["acquisition.sample_rate_hz", "dsp.filter", "dsp.windows"];
 
 /// Command line of `tendon dataset build`.
 #[derive(Debug, Args)]
@@ -114,7 +111,8 @@ impl BuildOptions {
             self.peak_percentile.is_none() || self.onset == OnsetMethod::PeakPercentile,
             "--peak-percentile is for --onset peak-percentile: add that, or leave --peak-percentile out"
         );
-        let Config { acquisition, dsp, .. } = self.base.configuration_of("tendon dataset build", &KEYS)?;
+        let Config { acquisition, dsp, .. } =
+            self.base.configuration_of("tendon dataset build", &WINDOW_KEYS)?;
         let default = DatasetSettings::default();
         Ok(DatasetSettings {
             channels: self.channels.iter().copied().map(Channel::Index).collect(),

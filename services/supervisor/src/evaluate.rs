@@ -83,7 +83,7 @@ struct ScoresWithProvenance<'a> {
 pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
     let figures = options.figures.as_deref().map(OutputFolder::check).transpose().map_err(Failure::input)?;
-    let inputs = options.paths.iter().chain(&options.model).map(PathBuf::as_path);
+    let inputs = options.paths.iter().chain(&options.model).map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&json, &figures, inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
     if let Some(repetitions) = options.calibrate_repetitions {

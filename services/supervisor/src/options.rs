@@ -18,6 +18,9 @@ use tendon_zones::TaskKind;
 /// Read where no other is named.
 const DEFAULT_FILE: &str = "tendon.toml";
 
+/// Keys of the configuration that windows depend on.
+pub const WINDOW_KEYS: [&str; 3] = ["acquisition.sample_rate_hz", "dsp.filter", "dsp.windows"];
+
 /// The configuration as `tendon run` and `tendon doctor` read it.
 #[derive(Debug, Args)]
 pub struct Base {
@@ -47,6 +50,11 @@ impl Base {
     pub fn configuration_of(&self, command: &str, used: &[&str]) -> anyhow::Result<Config> {
         check_keys(&self.assignments, command, used)?;
         self.configuration()
+    }
+
+    /// The configuration that was named.
+    pub fn file(&self) -> Option<&Path> {
+        self.config.as_deref()
     }
 
     /// Whether a configuration was named or a key was set.

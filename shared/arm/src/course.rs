@@ -10,8 +10,9 @@
 
 use nalgebra::Vector3;
 
-use crate::guard::{LimitViolation, OFF_SHARE, TOOL_REACH_MM, Told};
 use crate::kinematics::JointVector;
+use crate::told::{OFF_SHARE, TOOL_REACH_MM, Told, ToldRange};
+use crate::violation::LimitViolation;
 
 /// An arm follows so late, in s, apart from the network.
 const LAG_S: f64 = 0.2;
@@ -42,16 +43,6 @@ pub(crate) struct Course {
     leg: Option<Leg>,
 }
 
-/// The recent past, as far as it can explain a lag.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Recent {
-    /// Greatest speed told, mm/s and rad/s.
-    pub linear_mm_per_s: f64,
-    pub angular_rad_per_s: f64,
-    /// Longest silence of the arm, s.
-    pub silent_s: f64,
-}
-
 impl Course {
     /// Forgets everything: the arm is where it should be.
     pub fn begin_anew(&mut self) {
@@ -63,7 +54,8 @@ impl Course {
         self.leg.is_some()
     }
 
-    /// Takes a report, `passed_s` after the one before, and what is told from now on.
+    /// Takes a report, `passed_s` after the one before, and what is told from now on. The arm may still be following any
+    /// of what was told in the `recent` past.
     ///
     /// # Errors
     /// [`LimitViolation::OffCourse`] or [`LimitViolation::JointOffCourse`].
@@ -73,7 +65,7 @@ impl Course {
         position_mm: &Vector3<f64>,
         joints_rad: &JointVector,
         told: &Told,
-        recent: &Recent,
+        recent: &ToldRange,
     ) -> Result<(), LimitViolation> {
         let Some(leg) = &mut self.leg else {
             self.leg = Some(Leg {
@@ -93,7 +85,7 @@ impl Course {
         leg.told_mm += linear_mm_per_s * passed_s;
         leg.path_mm += linear_mm_per_s.norm() * passed_s;
         leg.turned_rad += before.velocity.angular_speed_rad_per_s() * passed_s;
-        let lag_s = LAG_S + recent.silent_s;
+        let lag_s = LAG_S + recent.silent_ns as f64 * 1e-9;
         let off_mm = (position_mm - leg.from_mm - leg.told_mm).norm();
         let turned_rad = leg.turned_rad + lag_s * recent.angular_rad_per_s;
         let most_mm =

@@ -25,10 +25,12 @@ mod motion;
 mod ramp;
 mod settings;
 mod simulation;
+mod told;
 mod twist;
 pub mod velocity;
+mod violation;
 
-pub use guard::{Guard, LimitViolation, Told};
+pub use guard::Guard;
 pub use kinematics::{JointLimits, JointVector, XArm7};
 pub use limits::Obstacle;
 pub use motion::Motion;
@@ -37,4 +39,6 @@ pub use ramp::{
 };
 pub use settings::{ArmSettings, ArmSettingsError};
 pub use simulation::{ArmState, SimulatedArm};
+pub use told::Told;
 pub use twist::{NonFiniteTwist, Twist};
+pub use violation::LimitViolation;

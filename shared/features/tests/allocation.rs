@@ -1,35 +1,8 @@
 //! Once constructed and fitted, a window allocates nothing. Alone in its file: the allocator counts for the
 //! whole process.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
+use tendon_counting_allocator::allocations;
 use tendon_features::{Class, Discriminant, LaggedLogCovariance, MethodSettings, Training};
-
-struct CountingAllocator;
-
-thread_local! {
-    /// Of this thread alone: the test harness allocates on its own.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-// SAFETY: every call is passed on to the system's allocator as it came; the counter is a plain thread-local
-// that neither allocates nor has a destructor.
-unsafe impl GlobalAlloc for CountingAllocator {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller keeps to the contract of `GlobalAlloc`, which is that of `System`.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above; `pointer` came from `System`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 #[test]
 fn a_window_allocates_nothing() {
@@ -42,7 +15,7 @@ fn a_window_allocates_nothing() {
             });
             noise.take(channels * samples).collect()
         };
-        let before_construction = ALLOCATIONS.get();
+        let before_construction = allocations();
         let settings = MethodSettings::default();
         let mut covariance = LaggedLogCovariance::new(&settings, channels, 2000.0, 1e-3).expect("valid");
         let feature_count = covariance.feature_count();
@@ -61,14 +34,14 @@ fn a_window_allocates_nothing() {
             blocks: &labels,
         };
         let discriminant = Discriminant::fit(&training, None, &settings).expect("a fit");
-        assert!(ALLOCATIONS.get() > before_construction, "the counter counts");
+        assert!(allocations() > before_construction, "the counter counts");
 
         let mut bad = window(600, 1.0);
         bad[300] = f32::NAN;
         let windows = [window(600, 1.0), window(600, 5.0), window(200, 5.0), window(13, 0.0), bad];
         let (mut features, mut whitened) = (vec![0.0; feature_count], vec![0.0; feature_count]);
         let (mut posterior, mut recognised, mut refused) = ([0.0; 2], 0, 0);
-        let before = ALLOCATIONS.get();
+        let before = allocations();
         for window in &windows {
             match covariance.compute(window, &mut features) {
                 Ok(()) => {
@@ -80,7 +53,7 @@ fn a_window_allocates_nothing() {
                 Err(_) => refused += 1,
             }
         }
-        assert_eq!(ALLOCATIONS.get() - before, 0, "{channels} channels");
+        assert_eq!(allocations() - before, 0, "{channels} channels");
         assert_eq!((recognised, refused), (4, 1));
     }
 }

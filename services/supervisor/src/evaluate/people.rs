@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::ensure;
+use anyhow::bail;
 use serde::Serialize;
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, StoredDataset};
@@ -15,11 +15,10 @@ use tendon_signal::{OnsetMethod, OnsetSettings};
 
 use super::Options;
 use crate::Failure;
+use crate::options::WINDOW_KEYS;
 use crate::output::{left_out, print};
 use crate::progress::Works;
 
-/// Keys of the configuration that windows depend on.
-const KEYS: [&str; 3] = ["acquisition.sample_rate_hz", "dsp.filter", "dsp.windows"];
 /// A movement counts from here on, ms after its cue: by then everybody has followed it.
 const MOVEMENT_BEGINS_MS: f64 = 1200.0;
 
@@ -56,13 +55,12 @@ pub fn evaluate(
 
 fn settings(options: &Options, repetitions: u32) -> anyhow::Result<PersonalSettings> {
     if let Some(data_set) = options.paths.iter().find(|path| StoredDataset::is_one(path)) {
-        ensure!(
-            false,
+        bail!(
             "--calibrate-repetitions needs recordings, and {} is a data set: give the recordings that it was made from",
             data_set.display()
         );
     }
-    let Config { acquisition, dsp, .. } = options.base.configuration_of("tendon evaluate", &KEYS)?;
+    let Config { acquisition, dsp, .. } = options.base.configuration_of("tendon evaluate", &WINDOW_KEYS)?;
     let default = DatasetSettings::default();
     Ok(PersonalSettings {
         dataset: DatasetSettings {
