@@ -308,7 +308,7 @@ fn people_are_kept_by_name_for_their_owner_alone() {
     // What else lies there is nobody.
     std::fs::create_dir(folder.path().join("people/empty")).expect("a folder");
     std::fs::write(folder.path().join("people/Notes.txt"), "x").expect("a file");
-    assert_eq!(people.names().expect("a list"), [anna.clone()]);
+    assert_eq!(people.names().expect("a list"), std::slice::from_ref(&anna));
     let berta: PersonName = "berta".parse().expect("a name");
     let unknown = people.find(&berta).expect_err("nobody").to_string();
     assert!(unknown.contains("there is no person `berta`, only anna"), "{unknown}");
