@@ -487,7 +487,7 @@ fn samples_that_are_no_numbers_are_replaced_counted_and_taken_for_rest() {
     let with_replaced = sink.windows_seen.iter().filter(|window| window.replaced_samples > 0).count();
     // Each sample lies in window / increment = 4 windows.
     assert_eq!(with_replaced, 4);
-    let is_rest = |command: &&CommandHeader| command.gesture == Gesture::Rest as u8;
+    let is_rest = |command: &&CommandHeader| command.gesture == Gesture::REST.paper_number().unwrap();
     let (broken, whole): (Vec<&CommandHeader>, Vec<&CommandHeader>) =
         sink.commands_seen.iter().partition(|command| command.context.replaced_samples > 0);
     assert_eq!(broken.len(), with_replaced);

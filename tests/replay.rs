@@ -6,7 +6,7 @@ use std::path::Path;
 
 use tendon_classifier::{Recogniser, runtime_library};
 use tendon_config::{Config, Pace, Source};
-use tendon_gesture::{DecisionSettings, Gesture, Strategy};
+use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_messages::{PREDICTIONS, WINDOWS};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
@@ -129,7 +129,7 @@ fn at_its_true_pace_a_recording_ends_by_itself() {
 
 /// What the libraries make of a recording without any process: every window and its probabilities, by the
 /// window's first sample.
-fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, [f32; Gesture::COUNT])> {
+fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, Vec<f32>)> {
     let config = Config::default();
     let recording = RecordingSettings {
         channels: (0..4).map(Channel::Index).collect(),
@@ -141,19 +141,16 @@ fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, [f32; Ges
     let library =
         if std::env::var_os("ORT_DYLIB_PATH").is_some() { runtime_library(None).unwrap() } else { fetched };
     let [five, rest_move] = ["cnn-five-gesture", "cnn-rest-move"].map(model);
-    let recogniser = Recogniser::load(&library, strategy, Some(&five), Some(&rest_move)).unwrap();
-    let settings = PipelineSettings {
-        channels: 4,
-        sample_rate_hz: 2000.0,
-        signal: config.dsp.clone(),
-        decision: DecisionSettings { strategy, ..config.decision.clone() },
-    };
+    let decision = DecisionSettings { strategy, ..config.decision.clone() };
+    let recogniser = Recogniser::load(&library, &decision, Some(&five), Some(&rest_move)).unwrap();
+    let settings =
+        PipelineSettings { channels: 4, sample_rate_hz: 2000.0, signal: config.dsp.clone(), decision };
     let mut pipeline = Pipeline::new(settings, recogniser).unwrap();
     let mut block = vec![0.0; config.block_length()];
     let mut windows = HashMap::new();
     while stream.next_block(&mut block).unwrap().is_some() {
         let keep = |step: tendon_pipeline::Step<'_>| {
-            windows.insert(step.window.first_sample, (step.samples.to_vec(), *step.probabilities));
+            windows.insert(step.window.first_sample, (step.samples.to_vec(), step.probabilities.to_vec()));
         };
         pipeline.push(&block, keep).unwrap();
     }

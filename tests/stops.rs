@@ -466,7 +466,7 @@ fn a_new_session_does_not_move_before_the_first_rest() {
     let mut rig = Rig::start("flexion 3s, rest 1s, flexion 3s");
     // Commands come, for a gesture; none of them moves the arm.
     let refused = wait_until("a command for flexion", || {
-        rig.state().filter(|state| state.gesture == Gesture::Flexion as u8)
+        rig.state().filter(|state| state.gesture == Gesture::FLEXION.paper_number().unwrap())
     });
     assert_eq!(Permission::from_number(refused.permission), Permission::AwaitRest);
     assert_eq!(rig.speed_mm_per_s(), 0.0);
@@ -514,8 +514,10 @@ fn a_stop_that_does_not_reach_the_arm_is_not_confirmed_and_the_report_says_what_
 #[test]
 fn the_path_to_the_wire_allocates_nothing_once_warm() {
     let mut rig = Rig::start(TO_AND_FRO);
-    for gesture in [Gesture::Ulnar, Gesture::Radial, Gesture::Ulnar] {
-        wait_until("a gesture", || rig.state().filter(|state| state.gesture == gesture as u8));
+    for gesture in [Gesture::ULNAR, Gesture::RADIAL, Gesture::ULNAR] {
+        wait_until("a gesture", || {
+            rig.state().filter(|state| state.gesture == gesture.paper_number().unwrap())
+        });
         rig.wait_for_full_speed();
     }
     let report = rig.end().report();

@@ -9,6 +9,8 @@ pub fn simulated(channels: usize) -> anyhow::Result<(SimulatedEmg, Performance)>
     let AcquisitionSettings { sample_rate_hz, simulate, .. } = AcquisitionSettings::default();
     let emg = SimulatedEmg::new(&Profile::default(), &simulate.simulation(channels, sample_rate_hz))?;
     let script = simulate.script.parse().context("the default script")?;
-    let performance = Performance::of_script(script, Repeat::Forever, simulate.contraction(), sample_rate_hz);
+    let contraction = simulate.contraction();
+    let performance =
+        Performance::of_script(emg.gestures(), script, Repeat::Forever, contraction, sample_rate_hz);
     Ok((emg, performance))
 }

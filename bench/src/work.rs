@@ -142,13 +142,13 @@ fn signal(channels: usize) -> anyhow::Result<[Work; 3]> {
 fn inference() -> anyhow::Result<Work> {
     let config = Config::default();
     let library = tendon_classifier::runtime_library(None)?;
-    let mut recogniser = Recogniser::load(&library, config.decision.strategy, None, None)?;
+    let mut recogniser = Recogniser::load(&library, &config.decision, None, None)?;
     let (mut emg, mut performance) = simulated(config.acquisition.channels)?;
     let mut window = vec![0.0; config.window_length()];
     let mut stopwatch = Stopwatch::new();
     for _ in 0..REPETITIONS / 10 {
         emg.fill_block(&mut performance, &mut window);
-        stopwatch.time(|| recogniser.recognise(black_box(&window)).copied())?;
+        stopwatch.time(|| recogniser.recognise(black_box(&window)).map(drop))?;
     }
     Ok(stopwatch.work(Stage::Inference, "classify a window", Some(config.acquisition.channels)))
 }
@@ -160,7 +160,7 @@ fn personal_inference(channels: usize) -> anyhow::Result<[Work; 3]> {
     let settings = MethodSettings::default();
     let (mut emg, mut performance) = simulated(channels)?;
     let window_length = config.window_length() / config.acquisition.channels * channels;
-    let mut windows = vec![vec![0.0; window_length]; Gesture::COUNT * WINDOWS_PER_CLASS];
+    let mut windows = vec![vec![0.0; window_length]; Gesture::PAPER.len() * WINDOWS_PER_CLASS];
     windows.iter_mut().for_each(|window| emg.fill_block(&mut performance, window));
 
     let mut covariance =
@@ -170,7 +170,7 @@ fn personal_inference(channels: usize) -> anyhow::Result<[Work; 3]> {
     for (window, features) in windows.iter().zip(features.chunks_exact_mut(feature_count)) {
         covariance.compute(window, features)?;
     }
-    let classes = Gesture::ALL.map(|gesture| Class { name: gesture.name().to_owned(), weight: 1.0 });
+    let classes = Gesture::PAPER.map(|gesture| Class { name: gesture.name().to_owned(), weight: 1.0 });
     let labels: Vec<usize> = (0..windows.len()).map(|window| window % classes.len()).collect();
     let training = Training {
         classes: &classes,
@@ -185,7 +185,7 @@ fn personal_inference(channels: usize) -> anyhow::Result<[Work; 3]> {
     let (mut compute, mut posterior, mut distance) = (Stopwatch::new(), Stopwatch::new(), Stopwatch::new());
     let mut features = vec![0.0; feature_count];
     let mut whitened = vec![0.0; feature_count];
-    let mut probabilities = [0.0; Gesture::COUNT];
+    let mut probabilities = [0.0; Gesture::PAPER.len()];
     for window in windows.iter().cycle().take(REPETITIONS / 10) {
         compute.time(|| covariance.compute(black_box(window), &mut features))?;
         posterior.time(|| discriminant.posterior(black_box(&features), &mut probabilities))?;
@@ -203,9 +203,9 @@ fn decision() -> anyhow::Result<Work> {
     let mut decider = Decider::new(&Config::default().decision)?;
     let mut stopwatch = Stopwatch::new();
     for repetition in 0..REPETITIONS {
-        let mut probabilities = [0.04; Gesture::COUNT];
+        let mut probabilities = [0.04; Gesture::PAPER.len()];
         // A gesture holds for ten windows.
-        probabilities[repetition / 10 % Gesture::COUNT] = 0.8;
+        probabilities[repetition / 10 % Gesture::PAPER.len()] = 0.8;
         let captured_ns = repetition as u64 * 75_000_000;
         let evidence = Evidence { probabilities: &probabilities, moving: true, intact: true, captured_ns };
         stopwatch.time(|| decider.decide(black_box(&evidence)));

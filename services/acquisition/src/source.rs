@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use anyhow::{Context, bail};
-use tendon_config::{AcquisitionSettings, Config, Gestures, Source as SourceKind};
+use tendon_config::{Config, Gestures, Source as SourceKind};
 use tendon_emg_simulation::{Performance, Repeat, Script, SimulatedEmg};
-use tendon_gesture::Gesture;
+use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Truth;
 use tendon_recordings::ReplayStream;
 use tendon_source::{BlockMaker, Pace, Paced, Source, SourceError};
@@ -32,11 +32,11 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
     let samples = settings.block_samples;
     Ok(match settings.source {
         SourceKind::Simulate => {
-            let (person, description) = SimulatedPerson::open(settings)?;
+            let (person, description) = SimulatedPerson::open(config)?;
             (Box::new(Paced::new(person, pace, samples)), description)
         }
         SourceKind::Replay => {
-            let (recording, description) = Recording::open(settings)?;
+            let (recording, description) = Recording::open(config)?;
             (Box::new(Paced::new(recording, pace, samples)), description)
         }
         SourceKind::Device => bail!(
@@ -47,34 +47,42 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
 
 /// The simulated person at the simulated amplifier.
 struct SimulatedPerson {
+    /// Of the session.
+    gestures: GestureSet,
     emg: SimulatedEmg,
     performance: Performance,
 }
 
 impl SimulatedPerson {
-    fn open(settings: &AcquisitionSettings) -> anyhow::Result<(SimulatedPerson, String)> {
+    fn open(config: &Config) -> anyhow::Result<(SimulatedPerson, String)> {
+        let settings = &config.acquisition;
         let simulate = &settings.simulate;
         let (emg, profile) = settings.open_simulation()?;
         let contraction = simulate.contraction();
-        let of_script =
-            |script| Performance::of_script(script, Repeat::Forever, contraction, settings.sample_rate_hz);
-        let (performance, gestures) = match simulate.gestures {
+        let gestures = emg.gestures();
+        let of_script = |script| {
+            Performance::of_script(gestures, script, Repeat::Forever, contraction, settings.sample_rate_hz)
+        };
+        let (performance, what) = match simulate.gestures {
             Gestures::Script => {
                 let script: Script = simulate.script.parse().context("acquisition.simulate.script")?;
+                script.check(gestures).context("acquisition.simulate.script")?;
                 let description = format!("script of {:.0} s", script.duration().as_secs_f64());
                 (of_script(script), description)
             }
             Gestures::Random => {
-                let script = Script::random(simulate.seed, RANDOM_GESTURES);
+                let script = Script::random(gestures, simulate.seed, RANDOM_GESTURES);
                 (of_script(script), "random gestures".to_owned())
             }
-            Gestures::Keyboard => {
-                (Performance::at_rest(contraction, settings.sample_rate_hz), "gestures as told".to_owned())
-            }
+            Gestures::Keyboard => (
+                Performance::at_rest(gestures, contraction, settings.sample_rate_hz),
+                "gestures as told".to_owned(),
+            ),
         };
         let description =
-            format!("simulated amplifier, {gestures}, seed {}, profile: {}", simulate.seed, profile);
-        Ok((SimulatedPerson { emg, performance }, description))
+            format!("simulated amplifier, {what}, seed {}, profile: {}", simulate.seed, profile);
+        let gestures = config.decision.gestures.clone();
+        Ok((SimulatedPerson { gestures, emg, performance }, description))
     }
 }
 
@@ -82,7 +90,7 @@ impl BlockMaker for SimulatedPerson {
     fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError> {
         self.emg.fill_block(&mut self.performance, samples);
         let truth = self.performance.truth();
-        Ok(Some(Truth::new(Some(truth.gesture as u8), truth.since_sample)))
+        Ok(Some(Truth::new(self.gestures.number(truth.gesture), truth.since_sample)))
     }
 
     fn set_gesture(&mut self, gesture: Gesture) {
@@ -91,10 +99,15 @@ impl BlockMaker for SimulatedPerson {
 }
 
 /// A recording; its cues say which gesture is made.
-struct Recording(ReplayStream);
+struct Recording {
+    stream: ReplayStream,
+    /// Of the session.
+    gestures: GestureSet,
+}
 
 impl Recording {
-    fn open(settings: &AcquisitionSettings) -> anyhow::Result<(Recording, String)> {
+    fn open(config: &Config) -> anyhow::Result<(Recording, String)> {
+        let settings = &config.acquisition;
         let (summary, stream) = settings.open_recording()?;
         let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
         for notice in summary.notices.iter().take(NOTICES_SHOWN) {
@@ -118,13 +131,15 @@ impl Recording {
             summary.duration_s,
             summary.sample_rate_hz
         );
-        Ok((Recording(stream), description))
+        Ok((Recording { stream, gestures: config.decision.gestures.clone() }, description))
     }
 }
 
 impl BlockMaker for Recording {
     fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError> {
-        let block = self.0.next_block(samples).map_err(SourceError::new)?;
-        Ok(block.map(|block| Truth::new(block.cue.map(|gesture| gesture as u8), block.cue_since)))
+        let block = self.stream.next_block(samples).map_err(SourceError::new)?;
+        Ok(block.map(|block| {
+            Truth::new(block.cue.and_then(|gesture| self.gestures.number(gesture)), block.cue_since)
+        }))
     }
 }

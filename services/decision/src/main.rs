@@ -3,8 +3,8 @@
 
 use std::process::ExitCode;
 
-use anyhow::Context;
-use tendon_gesture::{Decider, Evidence, Gesture};
+use anyhow::ensure;
+use tendon_gesture::{Decider, Evidence, GestureSet};
 use tendon_messages::{
     Activity, COMMANDS, CommandHeader, Measured, PREDICTIONS, PredictionHeader, Stage, TWIST_LENGTH,
 };
@@ -17,6 +17,7 @@ fn main() -> ExitCode {
         let delivery = config.delivery();
         let decision = Decision {
             decider: Decider::new(&config.decision)?,
+            gestures: config.decision.gestures.clone(),
             commands: Publisher::open(
                 &process.session,
                 &COMMANDS,
@@ -37,6 +38,7 @@ fn main() -> ExitCode {
 
 struct Decision {
     decider: Decider,
+    gestures: GestureSet,
     commands: Publisher<CommandHeader, f32>,
     increment_samples: u64,
     /// Index of the last window's first sample.
@@ -55,10 +57,14 @@ impl Consumer<PredictionHeader, f32> for Decision {
     ) -> anyhow::Result<Measured> {
         let context = prediction.header().context;
         let trace = prediction.trace();
-        let probabilities: &[f32; Gesture::COUNT] = prediction
-            .payload()
-            .try_into()
-            .with_context(|| format!("a prediction of {} probabilities", prediction.payload().len()))?;
+        let probabilities = prediction.payload();
+        ensure!(
+            probabilities.len() == self.gestures.len(),
+            "a prediction of {} probabilities, but the session has {} gestures: start all processes with the same \
+             configuration",
+            probabilities.len(),
+            self.gestures.len()
+        );
         // Windows are missing, whoever left them out: votes from before say nothing about now.
         let follows = |last: u64| context.first_sample == last + self.increment_samples;
         if self.last_first_sample.is_some_and(|last| !follows(last)) {
@@ -70,6 +76,9 @@ impl Consumer<PredictionHeader, f32> for Decision {
             self.decider.restart();
             return Ok(process.measure(&trace, None));
         }
+        let number = |gesture| {
+            self.gestures.number(gesture).expect("the decider decides among the session's gestures")
+        };
         let outcome = self.decider.decide(&Evidence {
             probabilities,
             moving: Activity::from_number(context.activity) == Activity::Move,
@@ -81,8 +90,8 @@ impl Consumer<PredictionHeader, f32> for Decision {
             trace,
             context,
             confidence: outcome.confidence,
-            gesture: outcome.gesture as u8,
-            voted: outcome.voted as u8,
+            gesture: number(outcome.gesture),
+            voted: number(outcome.voted),
             gripper_toggles: self.gripper_toggles,
         };
         let published_ns = self.commands.publish(header, TWIST_LENGTH, |twist| {
@@ -96,7 +105,7 @@ impl Consumer<PredictionHeader, f32> for Decision {
             times: process.message_times(&trace, Some(published_ns)),
             window_start_to_publish_ns: published_ns.saturating_sub(context.first_captured_ns),
             truth: context.gesture_throughout(),
-            gesture: outcome.gesture as u8,
+            gesture: number(outcome.gesture),
         })
     }
 }

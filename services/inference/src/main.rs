@@ -14,7 +14,6 @@ use std::process::ExitCode;
 
 use anyhow::ensure;
 use tendon_classifier::{Recogniser, WindowSource};
-use tendon_gesture::Gesture;
 use tendon_messages::{Measured, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
 use tendon_process::{Consumer, Policy, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber, now_ns};
@@ -31,7 +30,7 @@ fn main() -> ExitCode {
         let library = tendon_classifier::runtime_library(config.inference.runtime_library.as_deref())?;
         let mut recogniser = Recogniser::load(
             &library,
-            config.decision.strategy,
+            &config.decision,
             config.inference.model.as_deref(),
             config.inference.rest_move_model.as_deref(),
         )?;
@@ -49,14 +48,10 @@ fn main() -> ExitCode {
             recogniser.rehearse(&silence)?;
             shortest_run_ns = shortest_run_ns.min(now_ns() - start_ns);
         }
+        let gestures = config.decision.gestures.len();
         let delivery = config.delivery();
-        let predictions = Publisher::open(
-            &process.session,
-            &PREDICTIONS,
-            Gesture::COUNT,
-            delivery,
-            process.control.stop_flag(),
-        )?;
+        let predictions =
+            Publisher::open(&process.session, &PREDICTIONS, gestures, delivery, process.control.stop_flag())?;
         let windows = Subscriber::open(&process.session, &WINDOWS, Some(Stage::Inference), delivery)?;
         let rehearsal = matches!(process.scheduling.policy, Policy::Fifo(_)).then(|| {
             let increment_samples = process.config.dsp.windows.increment_samples as f64;
@@ -121,7 +116,7 @@ impl Consumer<WindowHeader, f32> for Inference {
         let prediction = PredictionHeader { trace, context: header.context };
         let published_ns = self
             .predictions
-            .publish(prediction, Gesture::COUNT, |payload| payload.copy_from_slice(probabilities))?;
+            .publish(prediction, probabilities.len(), |payload| payload.copy_from_slice(probabilities))?;
         process.measurements.counts.published = self.predictions.published();
         Ok(process.measure(&trace, Some(published_ns)))
     }

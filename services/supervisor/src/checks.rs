@@ -6,7 +6,6 @@ use anyhow::{Context, ensure};
 use tendon_classifier::{Recogniser, WindowSource};
 use tendon_config::{Config, Gestures, Source};
 use tendon_emg_simulation::Script;
-use tendon_gesture::Gesture;
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, TWIST_LENGTH, WINDOWS,
 };
@@ -25,7 +24,7 @@ use crate::provenance;
 pub fn shared_memory(config: &Config) -> anyhow::Result<(u64, u64)> {
     let needed = required_bytes(&BLOCKS, config.block_length())
         + required_bytes(&WINDOWS, config.window_length())
-        + required_bytes(&PREDICTIONS, Gesture::COUNT)
+        + required_bytes(&PREDICTIONS, config.decision.gestures.len())
         + required_bytes(&COMMANDS, TWIST_LENGTH)
         + required_bytes(&STATES, STATE_LENGTH)
         + Stage::ALL.len() as u64 * required_bytes(&MEASUREMENTS, BATCH_LENGTH);
@@ -78,7 +77,7 @@ pub fn models(config: &Config) -> anyhow::Result<String> {
     provenance::models(config)?;
     let library = tendon_classifier::runtime_library(inference.runtime_library.as_deref())?;
     let (model, rest_move_model) = (inference.model.as_deref(), inference.rest_move_model.as_deref());
-    let recogniser = Recogniser::load(&library, decision.strategy, model, rest_move_model)?;
+    let recogniser = Recogniser::load(&library, decision, model, rest_move_model)?;
     let (channels, rate_hz) = (acquisition.channels, acquisition.sample_rate_hz);
     recogniser.check_fit(&WindowSource::of_chain("the session", channels, rate_hz, dsp))?;
     let models: Vec<String> = recogniser.models().iter().map(|path| path.display().to_string()).collect();
@@ -98,9 +97,11 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
     }
     match acquisition.source {
         Source::Simulate => {
-            let (_, profile) = acquisition.open_simulation()?;
+            let (emg, profile) = acquisition.open_simulation()?;
             if acquisition.simulate.gestures == Gestures::Script {
-                acquisition.simulate.script.parse::<Script>().context("acquisition.simulate.script")?;
+                let script: Script =
+                    acquisition.simulate.script.parse().context("acquisition.simulate.script")?;
+                script.check(emg.gestures()).context("acquisition.simulate.script")?;
             }
             Ok(format!("simulated amplifier, profile: {profile}"))
         }

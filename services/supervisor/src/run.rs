@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tendon_config::Config;
+use tendon_gesture::GestureSet;
 use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
 use tendon_output::OutputErrors;
@@ -17,13 +18,14 @@ use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    Keyboard, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, stop_on_signals,
+    Keyboard, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, gesture_keys,
+    stop_on_signals,
 };
 use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::TaskRun;
 
 use crate::options::Options;
-use crate::screen::{GESTURE_KEYS, KEYS, live_line};
+use crate::screen::{KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
 use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, zones};
 
@@ -133,7 +135,8 @@ fn run_locked(
     known.task = task.transpose().map_err(Failure::input)?;
     // From before the arm goes to its start position: it can be stopped then, too.
     let keyboard = if options.keyboard || Keyboard::is_there() {
-        let keyboard = Keyboard::listen(&robot, &sender, options.keyboard);
+        let keyboard =
+            Keyboard::listen(&robot, &sender, options.keyboard.then_some(&config.decision.gestures));
         Some(keyboard.context("--keyboard").map_err(Failure::input)?)
     } else {
         None
@@ -179,7 +182,7 @@ fn watch_until_the_end(
         if let Some(gesture) = task.as_mut().and_then(TaskRun::new_gesture) {
             watch.order(Stage::Acquisition, Order::Gesture(gesture));
         }
-        terminal.errors.show(&line(watch, task.as_ref()));
+        terminal.errors.show(&line(watch, &config.decision.gestures, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
         if turn == Turn::Over || is_over {
             return Ok(());
@@ -187,9 +190,15 @@ fn watch_until_the_end(
     }
 }
 
-fn line(watch: &Watch<'_>, task: Option<&TaskRun>) -> String {
+fn line(watch: &Watch<'_>, gestures: &GestureSet, task: Option<&TaskRun>) -> String {
     let task = task.map_or(String::new(), TaskRun::live);
-    live_line(watch.elapsed(), watch.observer().newest_state(), watch.standstill().as_deref(), &task)
+    live_line(
+        watch.elapsed(),
+        gestures,
+        watch.observer().newest_state(),
+        watch.standstill().as_deref(),
+        &task,
+    )
 }
 
 fn failure(error: SessionFailure) -> Failure {
@@ -221,7 +230,7 @@ fn introduce(
         say(format!("  {:<12}{}{remark}", "scheduling", ready.scheduling));
     }
     if options.keyboard {
-        say(format!("  {GESTURE_KEYS}"));
+        say(format!("  {}", gesture_keys(&config.decision.gestures)));
     }
     if options.keyboard || Keyboard::is_there() {
         say(format!("  {KEYS}"));
@@ -236,6 +245,7 @@ impl Known {
         facts.source = config.acquisition.source.name().to_owned();
         facts.robot = config.robot.backend.name().to_owned();
         facts.strategy = config.decision.strategy.name().to_owned();
+        facts.gestures = config.decision.gestures.clone();
         // Of one whose models or recording cannot be read, this is all that is known.
         let begun = Provenance::begin(provenance::PROGRAM).with_configuration(config);
         facts.provenance = begun.map_err(Failure::running)?;

@@ -2,16 +2,13 @@
 
 use std::time::Duration;
 
-use tendon_gesture::Gesture;
+use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::{ArmPhase, Hindrance, Permission, Stage, StateHeader, StopReason};
 use tendon_observer::State;
 use tendon_session::{is_found_waiting, stop_words};
 
 /// What the keys do, for the person at them.
 pub const KEYS: &str = "keys: space STOP, a arm again, q quit";
-/// With `--keyboard`, before those.
-pub const GESTURE_KEYS: &str =
-    "keys: e extension, f flexion, u ulnar, r radial, g grip, n none of them (rest)";
 
 /// What stands for a value that is not known yet.
 const UNKNOWN: &str = "-";
@@ -19,14 +16,19 @@ const UNKNOWN: &str = "-";
 /// The live line. What matters most comes first, as a narrow terminal shows its beginning: why the arm does not move,
 /// time, gesture, confidence, task; then pose, gripper, and age of the newest sample at the command. `standstill` says
 /// which stage makes no progress.
-pub fn live_line(elapsed: Duration, state: Option<&State>, standstill: Option<&str>, task: &str) -> String {
+pub fn live_line(
+    elapsed: Duration,
+    gestures: &GestureSet,
+    state: Option<&State>,
+    standstill: Option<&str>,
+    task: &str,
+) -> String {
     let standing = match state {
         Some(state) => standing(&state.header, standstill),
         None => format!("{}waiting for the arm's first report  ", troubled(standstill)),
     };
     let commanded = state.map(|state| &state.header).filter(|header| header.trace.captured_ns > 0);
-    let gesture =
-        commanded.map(|header| Gesture::from_index(header.gesture.into()).unwrap_or(Gesture::Rest).name());
+    let gesture = commanded.map(|header| gestures.get(header.gesture).unwrap_or(Gesture::REST));
     let latency_us = commanded.map(|header| {
         let command_ns = header.trace.published_ns[Stage::Decision.index()];
         command_ns.saturating_sub(header.trace.captured_ns) as f32 / 1e3
@@ -38,7 +40,7 @@ pub fn live_line(elapsed: Duration, state: Option<&State>, standstill: Option<&s
         "{standing}{:6.1} s  {:<9} {:>3} %{task}  x {x:>6}  y {y:>6}  z {z:>6} mm  gripper {:>3}  sample to command \
          {:>5} us",
         elapsed.as_secs_f64(),
-        gesture.unwrap_or(UNKNOWN),
+        gesture.as_ref().map_or(UNKNOWN, Gesture::name),
         number(commanded.map(|header| 100.0 * header.confidence), 0),
         number(state.map(|state| state.header.gripper_position), 0),
         number(latency_us, 0),
@@ -101,7 +103,7 @@ mod tests {
     use super::*;
 
     fn line_of(state: Option<State>, standstill: Option<&str>) -> String {
-        live_line(Duration::from_secs(3), state.as_ref(), standstill, "")
+        live_line(Duration::from_secs(3), &GestureSet::default(), state.as_ref(), standstill, "")
     }
 
     #[test]

@@ -354,7 +354,7 @@ mod tests {
     #[test]
     fn a_contract_is_read_and_compared_by_name_of_what_differs() {
         let contract = Contract::read(metadata).unwrap();
-        assert_eq!(contract.classes, Gesture::ACTIVE.map(Class::Gesture));
+        assert_eq!(contract.classes, Gesture::PAPER_ACTIVE.map(Class::Gesture));
         assert_eq!((contract.sequence_windows, contract.trained_on.people.len()), (1, 0));
         let filter = FilterSettings::default();
         let fitting = WindowSource {
@@ -455,7 +455,7 @@ mod tests {
             ("tendon.sample_rate_hz", Some("fast"), "`tendon.sample_rate_hz` is `fast`"),
             ("tendon.filter", Some("none"), "`tendon.filter` is `none`"),
             ("tendon.input", Some("spectrum"), "`tendon.input` is `spectrum`"),
-            ("tendon.classes", Some("fist"), "`tendon.classes` is `fist`"),
+            ("tendon.classes", Some("Fist"), "`tendon.classes` is `Fist`"),
             ("tendon.contract_version", Some("2"), "contract version 2"),
             ("tendon.sequence_windows", Some("0"), "`tendon.sequence_windows` is `0`"),
             ("tendon.people_trained", Some("1 and 3"), "`tendon.people_trained` is `1 and 3`"),

@@ -20,7 +20,6 @@ use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::{TensorElementType, ValueType};
-use tendon_gesture::Class;
 
 pub use contract::{Contract, ContractProblem, Mismatch, TrainedOn, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
@@ -167,17 +166,12 @@ impl Classifier {
     /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails;
     /// [`ClassifierError::Contract`] if the outputs are no probabilities.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
-        self.probabilities(window).map(|(_, probabilities)| probabilities)
-    }
-
-    /// As [`Classifier::classify`], beside the classes.
-    fn probabilities(&mut self, window: &[f32]) -> Result<(&[Class], &[f32]), ClassifierError> {
         let outputs = self.runner.run(window)?;
         if !are_probabilities(outputs) {
             let problem = ContractProblem::NoProbabilities { outputs: outputs.to_vec() };
             return Err(ClassifierError::Contract { path: self.path.clone(), problem });
         }
-        Ok((&self.contract.classes, outputs))
+        Ok(outputs)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use tendon_gesture::{Class, Gesture, Strategy};
+use tendon_gesture::{Class, DecisionSettings, Gesture, Strategy};
 
 use crate::locate::model_beside_program;
 use crate::{Classifier, ClassifierError, TrainedOn, WindowSource};
@@ -14,6 +14,9 @@ pub const fn default_model_file(strategy: Strategy) -> &'static str {
         Strategy::Direct => "cnn-six-class.onnx",
     }
 }
+
+/// Class number of rest.
+const REST: usize = 0;
 
 /// File name of the model that comes with Tendon for the first stage of the two-stage strategy.
 pub const DEFAULT_REST_MOVE_MODEL_FILE: &str = "cnn-rest-move.onnx";
@@ -64,8 +67,11 @@ impl ModelFiles {
 #[derive(Debug)]
 pub struct Recogniser {
     gestures: Classifier,
+    /// For each output of the model of the gestures, where its probability goes.
+    places: Vec<usize>,
     rest_move: Option<RestMove>,
-    probabilities: [f32; Gesture::COUNT],
+    /// By class number.
+    probabilities: Vec<f32>,
 }
 
 /// The first stage of the two-stage strategy.
@@ -77,18 +83,19 @@ struct RestMove {
 }
 
 impl Recogniser {
-    /// Loads what `strategy` needs from ONNX Runtime in `library`: `model`, and for the two-stage strategy
-    /// `rest_move_model`; where a path is left out, the model that comes with Tendon.
+    /// Loads what the strategy of `decision` needs from ONNX Runtime in `library`: `model`, and for the two-stage
+    /// strategy `rest_move_model`; where a path is left out, the model that comes with Tendon.
     ///
     /// # Errors
     ///
     /// [`ClassifierError`], naming the file and the remedy.
     pub fn load(
         library: &Path,
-        strategy: Strategy,
+        decision: &DecisionSettings,
         model: Option<&Path>,
         rest_move_model: Option<&Path>,
     ) -> Result<Recogniser, ClassifierError> {
+        let DecisionSettings { strategy, gestures: ref session, .. } = *decision;
         let ModelFiles { gestures, rest_move: rest_move_file } =
             ModelFiles::find(strategy, model, rest_move_model)?;
         let gestures = Classifier::load(library, &gestures)?;
@@ -104,23 +111,38 @@ impl Recogniser {
             })
         };
         let classes = &gestures.contract().classes;
-        if classes.contains(&Class::Move) {
-            return unfit(&gestures, "which needs a model that knows the gestures one by one");
-        }
-        if strategy == Strategy::Direct && !classes.contains(&Class::Gesture(Gesture::Rest)) {
+        if strategy == Strategy::Direct && !classes.contains(&Class::Gesture(Gesture::REST)) {
             return unfit(&gestures, "which needs a model that knows rest");
+        }
+        let mut places = Vec::new();
+        for class in classes {
+            match class {
+                Class::Gesture(gesture) => match session.number(*gesture) {
+                    Some(number) => places.push(usize::from(number)),
+                    None => {
+                        return Err(ClassifierError::Unfit {
+                            path: gestures.path().to_owned(),
+                            differences: format!("it knows the gesture {gesture}, which the session has not"),
+                        });
+                    }
+                },
+                Class::Move => {
+                    return unfit(&gestures, "which needs a model that knows the gestures one by one");
+                }
+            }
         }
         let mut rest_move = None;
         if let Some(file) = rest_move_file {
             let classifier = Classifier::load(library, &file)?;
             let rest = match classifier.contract().classes[..] {
-                [Class::Gesture(Gesture::Rest), Class::Move] => 0,
-                [Class::Move, Class::Gesture(Gesture::Rest)] => 1,
+                [Class::Gesture(Gesture::REST), Class::Move] => 0,
+                [Class::Move, Class::Gesture(Gesture::REST)] => 1,
                 _ => return unfit(&classifier, "whose first stage needs a model of rest and move"),
             };
             rest_move = Some(RestMove { classifier, rest });
         }
-        Ok(Recogniser { gestures, rest_move, probabilities: [0.0; Gesture::COUNT] })
+        let probabilities = vec![0.0; session.len()];
+        Ok(Recogniser { gestures, places, rest_move, probabilities })
     }
 
     /// Checks that each model fits the source of the windows.
@@ -152,26 +174,23 @@ impl Recogniser {
     /// # Errors
     ///
     /// [`ClassifierError::Run`], as [`Classifier::classify`].
-    pub fn recognise(&mut self, window: &[f32]) -> Result<&[f32; Gesture::COUNT], ClassifierError> {
-        self.probabilities = [0.0; Gesture::COUNT];
+    pub fn recognise(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
+        self.probabilities.fill(0.0);
         if let Some(rest_move) = &mut self.rest_move {
             let outputs = rest_move.classifier.classify(window)?;
             let (rest, movement) = (outputs[rest_move.rest], outputs[1 - rest_move.rest]);
             // Rest if both are equal, or if the model returns NaN: an arm that waits does less harm.
             let moves = movement > rest;
             if !moves {
-                self.probabilities[Gesture::Rest.index()] = rest;
+                self.probabilities[REST] = rest;
                 return Ok(&self.probabilities);
             }
         }
-        let (classes, outputs) = self.gestures.probabilities(window)?;
-        for (class, probability) in classes.iter().zip(outputs) {
-            if let Class::Gesture(gesture) = class {
-                self.probabilities[gesture.index()] = *probability;
-            }
+        for (place, probability) in self.places.iter().zip(self.gestures.classify(window)?) {
+            self.probabilities[*place] = *probability;
         }
         if self.rest_move.is_some() {
-            self.probabilities[Gesture::Rest.index()] = 0.0;
+            self.probabilities[REST] = 0.0;
         }
         Ok(&self.probabilities)
     }

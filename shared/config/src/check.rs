@@ -342,7 +342,11 @@ mod tests {
         let acquisition = &config.acquisition;
         let simulation = acquisition.simulate.simulation(acquisition.channels, acquisition.sample_rate_hz);
         let _ = SimulatedEmg::new(&Profile::default(), &simulation);
-        let _ = Performance::at_rest(acquisition.simulate.contraction(), acquisition.sample_rate_hz);
+        let _ = Performance::at_rest(
+            &config.decision.gestures,
+            acquisition.simulate.contraction(),
+            acquisition.sample_rate_hz,
+        );
         let _ = tendon_arm::SimulatedArm::new(config.robot.arm.clone(), 0);
     }
 

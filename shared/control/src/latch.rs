@@ -13,8 +13,7 @@
 //! Whatever interrupted a motion, the arm does not move again before the person has been at rest: the muscles may
 //! still say what was meant before the interruption.
 
-use tendon_gesture::Gesture;
-use tendon_messages::{Activity, CommandHeader, Permission, StopReason};
+use tendon_messages::{Activity, CommandHeader, Permission, REST, StopReason};
 
 use crate::arm::Stop;
 
@@ -44,7 +43,7 @@ impl Latch {
     /// recognised as such. What was voted would not do, as votes begin with rest.
     pub fn admits(&mut self, header: &CommandHeader) -> bool {
         let is_calibrating = Activity::from_number(header.context.activity) == Activity::Calibrating;
-        let is_rest = header.gesture == Gesture::Rest as u8
+        let is_rest = header.gesture == REST
             && header.context.replaced_samples == 0
             && !(self.needs_calibration && is_calibrating);
         self.rests = if is_rest { self.rests + 1 } else { 0 };
@@ -113,14 +112,16 @@ fn says_more(reason: StopReason, before: StopReason) -> bool {
 mod tests {
     use tendon_messages::WindowContext;
 
+    use tendon_gesture::Gesture;
+
     use super::*;
 
     fn window(gesture: Gesture) -> CommandHeader {
-        CommandHeader { gesture: gesture as u8, voted: Gesture::Rest as u8, ..CommandHeader::default() }
+        CommandHeader { gesture: gesture.paper_number().unwrap(), voted: REST, ..CommandHeader::default() }
     }
 
     fn rested(mut latch: Latch) -> Latch {
-        (0..REST_WINDOWS).for_each(|_| _ = latch.admits(&window(Gesture::Rest)));
+        (0..REST_WINDOWS).for_each(|_| _ = latch.admits(&window(Gesture::REST)));
         latch
     }
 
@@ -129,20 +130,20 @@ mod tests {
         let mut latch = Latch::new(false);
         let damaged = WindowContext { replaced_samples: 1, ..WindowContext::default() };
         for _ in 0..10 {
-            assert!(!latch.admits(&window(Gesture::Flexion)));
-            assert!(!latch.admits(&CommandHeader { context: damaged, ..window(Gesture::Rest) }));
-            assert!(!latch.admits(&CommandHeader { gesture: 77, ..window(Gesture::Rest) }));
-            assert!(!latch.admits(&window(Gesture::Rest)), "one window alone is no rest");
+            assert!(!latch.admits(&window(Gesture::FLEXION)));
+            assert!(!latch.admits(&CommandHeader { context: damaged, ..window(Gesture::REST) }));
+            assert!(!latch.admits(&CommandHeader { gesture: 77, ..window(Gesture::REST) }));
+            assert!(!latch.admits(&window(Gesture::REST)), "one window alone is no rest");
         }
         let mut latch = rested(latch);
-        assert!(latch.admits(&window(Gesture::Flexion)));
+        assert!(latch.admits(&window(Gesture::FLEXION)));
     }
 
     #[test]
     fn what_is_seen_before_the_calibration_is_over_is_no_rest() {
         let seen = |activity: Activity| CommandHeader {
             context: WindowContext { activity: activity as u8, ..WindowContext::default() },
-            ..window(Gesture::Rest)
+            ..window(Gesture::REST)
         };
         let mut latch = Latch::new(true);
         assert!((0..10).all(|_| !latch.admits(&seen(Activity::Calibrating))));
@@ -159,9 +160,9 @@ mod tests {
         let mut latch = rested(Latch::new(false));
         latch.interrupt(StopReason::NoCommands);
         assert_eq!(latch.reason(), Some(Stop::because(StopReason::NoCommands)));
-        assert!(!latch.admits(&window(Gesture::Flexion)));
+        assert!(!latch.admits(&window(Gesture::FLEXION)));
         let mut latch = rested(latch);
-        assert!(latch.admits(&window(Gesture::Flexion)));
+        assert!(latch.admits(&window(Gesture::FLEXION)));
         assert_eq!(latch.reason(), None);
     }
 
@@ -175,9 +176,9 @@ mod tests {
         latch.interrupt(StopReason::NoCommands);
         assert_eq!(latch.reason(), Some(fault), "the first reason that says what is wrong stays");
         let mut latch = rested(latch);
-        assert!(!latch.admits(&window(Gesture::Rest)) && !latch.admits(&window(Gesture::Flexion)));
+        assert!(!latch.admits(&window(Gesture::REST)) && !latch.admits(&window(Gesture::FLEXION)));
         latch.arm();
-        assert!(!latch.admits(&window(Gesture::Flexion)));
-        assert!(rested(latch).admits(&window(Gesture::Flexion)));
+        assert!(!latch.admits(&window(Gesture::FLEXION)));
+        assert!(rested(latch).admits(&window(Gesture::FLEXION)));
     }
 }

@@ -6,6 +6,7 @@ use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use tendon_gesture::Gesture;
 use tendon_output::{OutputError, OutputFile};
 use tendon_provenance::Provenance;
 use tendon_recordings::SkippedEntry;
@@ -133,6 +134,20 @@ impl Default for BuildSettings {
     }
 }
 
+/// Leaves out what the networks' classes do not cover: data sets number gestures as the paper does.
+fn for_networks(outcome: Outcome) -> Outcome {
+    let Outcome::Trial(trial) = outcome else { return outcome };
+    if trial.entry.gesture.paper_number().is_some() {
+        return Outcome::Trial(trial);
+    }
+    let known = Gesture::PAPER.map(|gesture| gesture.to_string()).join(", ");
+    let gesture = trial.entry.gesture;
+    Outcome::Skipped(SkippedEntry {
+        path: trial.entry.file,
+        reason: format!("sample {}: gesture `{gesture}` is none of {known}", trial.entry.first_sample),
+    })
+}
+
 /// Cuts the windows of all recordings that [`list`] finds at or below `paths` and writes the data set to `out_dir`,
 /// which is created. Recordings that cannot be used are left out and listed in the manifest.
 ///
@@ -166,6 +181,7 @@ pub fn build(
             &remaining,
             |recording, give| {
                 let given = trials(settings, recording, &mut |outcome| {
+                    let outcome = for_networks(outcome);
                     let bytes = match &outcome {
                         Outcome::Trial(trial) => trial.bytes(),
                         Outcome::Skipped(_) => 0,
@@ -376,7 +392,10 @@ fn write_arrays(
             entry.starts(&settings.windows).map(move |start| (index, entry, start))
         })
     };
-    write_array(out_dir, LABELS, rows().map(|(_, entry, _)| entry.gesture as u8))?;
+    let label = |entry: &RecordingEntry| {
+        entry.gesture.paper_number().expect("trials of other gestures were left out: for_networks")
+    };
+    write_array(out_dir, LABELS, rows().map(|(_, entry, _)| label(entry)))?;
     write_array(out_dir, PEOPLE, rows().map(|(_, entry, _)| entry.person))?;
     write_array(out_dir, REPETITIONS, rows().map(|(_, entry, _)| entry.repetition_of_all))?;
     write_array(out_dir, RECORDINGS, rows().map(|(index, _, _)| index as u32))?;

@@ -256,7 +256,7 @@ impl Part<'_> {
         let content = signal.channels.concat();
         let samples_of_ms = |ms: f64| (ms * 1e-3 * rate_hz).round() as usize;
         let (onset_sample, start_sample) = match gesture {
-            Gesture::Rest => (None, samples_of_ms(settings.rest_start_ms)),
+            Gesture::REST => (None, samples_of_ms(settings.rest_start_ms)),
             _ => match find_onset(&settings.onset, &content, channels, rate_hz)? {
                 Some(onset) => (Some(onset.sample), onset.start_sample),
                 None => (None, samples_of_ms(settings.fallback_ms)),
@@ -285,7 +285,7 @@ impl Part<'_> {
             samples,
             onset_sample,
             start_sample,
-            fallback: gesture != Gesture::Rest && onset_sample.is_none(),
+            fallback: gesture != Gesture::REST && onset_sample.is_none(),
             first_window: 0,
             windows: ((left - window_samples) / increment_samples + 1) as u64,
         };

@@ -80,7 +80,7 @@ impl Manifest {
             windows_per_gesture,
             windows_per_person,
             fallbacks: recordings.iter().filter(|entry| entry.fallback).count() as u64,
-            onsets: Gesture::ACTIVE.into_iter().map(of_gesture).chain([total]).collect(),
+            onsets: Gesture::PAPER_ACTIVE.into_iter().map(of_gesture).chain([total]).collect(),
             split,
             training_statistics,
             recordings,

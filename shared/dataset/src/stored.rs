@@ -137,7 +137,9 @@ impl StoredDataset {
                 return Err((name, StoredDatasetProblem::Rows { found, expected: self.manifest.windows }));
             }
         }
-        if let Some(window) = (0..self.len()).find(|window| self.gesture_number(*window) >= Gesture::COUNT) {
+        if let Some(window) =
+            (0..self.len()).find(|window| self.gesture_number(*window) >= Gesture::PAPER.len())
+        {
             let label = self.gesture_number(window);
             return Err((LABELS, StoredDatasetProblem::Label { window, label }));
         }
@@ -173,8 +175,7 @@ impl StoredDataset {
 
     /// What the window shows.
     pub fn gesture(&self, index: usize) -> Gesture {
-        Gesture::from_index(self.gesture_number(index))
-            .expect("labels were checked when the data set was opened")
+        Gesture::PAPER[self.gesture_number(index)]
     }
 
     /// Number of the person whose window it is.

@@ -69,7 +69,7 @@ impl OnsetStatistics {
     pub(crate) fn of<'a>(recordings: impl Iterator<Item = &'a RecordingEntry>) -> OnsetStatistics {
         let mut statistics = OnsetStatistics::default();
         let mut onsets_ms = Vec::new();
-        for entry in recordings.filter(|entry| entry.gesture != Gesture::Rest) {
+        for entry in recordings.filter(|entry| entry.gesture != Gesture::REST) {
             statistics.recordings += 1;
             statistics.fallbacks += u64::from(entry.fallback);
             onsets_ms.extend(entry.onset_sample.map(|onset| onset as f64 * 1e3 / entry.sample_rate_hz));

@@ -92,14 +92,14 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     assert!(!out.join("progress.jsonl").exists());
 
     // Rest: 3000 samples without the first 1000, a window of 600 every 150.
-    assert_eq!((manifest.recordings[0].gesture, manifest.recordings[0].samples), (Gesture::Rest, 3000));
+    assert_eq!((manifest.recordings[0].gesture, manifest.recordings[0].samples), (Gesture::REST, 3000));
     assert_eq!((manifest.recordings[0].windows, manifest.recordings[0].onset_sample), (10, None));
     for file in &manifest.recordings {
         // The margin before the onset, or the cut-off.
         let start = file.onset_sample.map_or(1000, |onset| onset - 100);
         assert_eq!(file.start_sample, start, "{file:?}");
         assert_eq!(file.windows as usize, (file.samples - start - 600) / 150 + 1, "{file:?}");
-        assert_eq!(file.fallback, file.gesture != Gesture::Rest && file.onset_sample.is_none());
+        assert_eq!(file.fallback, file.gesture != Gesture::REST && file.onset_sample.is_none());
     }
     let reasons: Vec<&str> = manifest.skipped.iter().map(|skipped| skipped.reason.as_str()).collect();
     assert!(reasons.contains(&"its gesture is not one of the six"), "{reasons:?}");
@@ -116,7 +116,7 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     let expected: Vec<u8> = manifest
         .recordings
         .iter()
-        .flat_map(|file| std::iter::repeat_n(file.gesture as u8, file.windows as usize))
+        .flat_map(|file| std::iter::repeat_n(file.gesture.paper_number().unwrap(), file.windows as usize))
         .collect();
     assert_eq!(labels, expected);
     let people = npy_rows(&out.join("people.npy"), "<u2", &format!("{n},"));
@@ -134,7 +134,7 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     }
     let stored: Vec<(u32, u32)> = places("recordings.npy").into_iter().zip(places("starts.npy")).collect();
     assert_eq!(stored, expected);
-    let moving = manifest.recordings.iter().filter(|file| file.gesture != Gesture::Rest).count();
+    let moving = manifest.recordings.iter().filter(|file| file.gesture != Gesture::REST).count();
     assert_eq!(manifest.onsets["total"].recordings, moving as u64);
     assert_eq!(manifest.onsets["total"].fallbacks, manifest.fallbacks);
     let written: dataset::Manifest =
@@ -144,7 +144,7 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     let mut stored = StoredDataset::open(&out).unwrap();
     assert_eq!((stored.len(), stored.manifest()), (n, &manifest));
     for index in 0..n {
-        assert_eq!((stored.gesture(index) as u8, stored.person(index)), (labels[index], 7));
+        assert_eq!((stored.gesture(index).paper_number().unwrap(), stored.person(index)), (labels[index], 7));
         assert_eq!(stored.repetition(index), repetitions[index]);
         let bytes: Vec<u8> = stored.window(index).iter().flat_map(|sample| sample.to_le_bytes()).collect();
         let all = npy_rows(&out.join("windows.npy"), "<f4", &format!("{n}, 2, 600,"));

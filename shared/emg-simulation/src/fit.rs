@@ -7,6 +7,8 @@
 //! weights that fall to zero at its neighbours (0 Hz before the first), the counterpart of the linear
 //! interpolation with which they are used.
 
+use std::collections::BTreeSet;
+
 use tendon_gesture::Gesture;
 use tendon_spectrum::{Complex, RealToComplex, plan_real_fft};
 
@@ -86,7 +88,7 @@ pub enum FitError {
     },
 }
 
-/// Fits a profile from segments of all six gestures. The same segments give the same profile.
+/// Fits a profile from segments of gestures, rest among them. The same segments give the same profile.
 ///
 /// # Errors
 /// If a gesture is missing or a segment does not fit the settings.
@@ -106,7 +108,11 @@ pub fn fit(segments: &[Segment<'_>], settings: &FitSettings) -> Result<Profile, 
     }
     let frequencies_hz: Vec<f64> =
         FREQUENCIES_HZ.into_iter().filter(|hz| *hz <= sample_rate_hz / 2.0).collect();
-    let gestures = Gesture::ALL
+    let made: BTreeSet<Gesture> = segments.iter().map(|segment| segment.gesture).collect();
+    if !made.contains(&Gesture::REST) {
+        return Err(FitError::NoSignal { gesture: Gesture::REST });
+    }
+    let gestures = made
         .into_iter()
         .map(|gesture| {
             let of_gesture = segments.iter().filter(|segment| segment.gesture == gesture);
@@ -316,14 +322,14 @@ mod tests {
         let simulation = SimulationSettings::default();
         let mut emg = SimulatedEmg::new(&Profile::default(), &simulation).expect("settings are in range");
         let contraction = ContractionSettings { rise_ms: 0.0, fall_ms: 0.0 };
-        let mut performance = Performance::at_rest(contraction, simulation.sample_rate_hz);
+        let mut performance = Performance::at_rest(emg.gestures(), contraction, simulation.sample_rate_hz);
         let record = |gesture| {
             performance.set_gesture(gesture);
             let mut samples = vec![0.0; 4 * 120_000];
             emg.fill_block(&mut performance, &mut samples);
             (gesture, samples)
         };
-        Gesture::ALL.map(record).to_vec()
+        Gesture::PAPER.map(record).to_vec()
     }
 
     #[test]
@@ -370,7 +376,7 @@ mod tests {
     fn the_fit_is_that_of_numpy() {
         let golden: Golden = serde_json::from_str(include_str!("../tests/golden/fit.json")).expect("JSON");
         let samples = golden.samples.concat();
-        let segments = Gesture::ALL.map(|gesture| Segment { gesture, samples: &samples });
+        let segments = Gesture::PAPER.map(|gesture| Segment { gesture, samples: &samples });
         let settings = FitSettings { channels: 2, sample_rate_hz: 1000.0, ..settings() };
         let profile = fit(&segments, &settings).expect("all gestures are there");
         let entry = &profile.gestures[2];
@@ -403,12 +409,12 @@ mod tests {
     #[test]
     fn faults_are_named() {
         let flat = vec![0.0; 4000];
-        let segments = Gesture::ALL.map(|gesture| Segment { gesture, samples: &flat });
-        assert_eq!(fit(&segments, &settings()), Err(FitError::NoSignal { gesture: Gesture::Rest }));
-        let odd = Segment { gesture: Gesture::Grip, samples: &flat[..7] };
+        let segments = Gesture::PAPER.map(|gesture| Segment { gesture, samples: &flat });
+        assert_eq!(fit(&segments, &settings()), Err(FitError::NoSignal { gesture: Gesture::REST }));
+        let odd = Segment { gesture: Gesture::GRIP, samples: &flat[..7] };
         assert_eq!(
             fit(&[odd], &settings()),
-            Err(FitError::Channels { segment: 0, gesture: Gesture::Grip, values: 7, channels: 4 })
+            Err(FitError::Channels { segment: 0, gesture: Gesture::GRIP, values: 7, channels: 4 })
         );
         let settings = FitSettings { mains_hz: 0.0, ..settings() };
         assert!(matches!(fit(&[], &settings), Err(FitError::Settings { .. })));

@@ -10,7 +10,7 @@
 //! while it is not.
 
 use serde::{Deserialize, Serialize};
-use tendon_gesture::Gesture;
+use tendon_gesture::{Gesture, GestureSet};
 
 use crate::script::Script;
 use crate::simulator::SimulationError;
@@ -70,7 +70,9 @@ pub struct Truth {
 #[derive(Clone, Debug)]
 pub struct Performance {
     script: Option<Playback>,
-    levels: [f32; Gesture::COUNT],
+    gestures: GestureSet,
+    /// In the order of the class numbers.
+    levels: Vec<f32>,
     rise_per_sample: f32,
     fall_per_sample: f32,
     fall_samples: u64,
@@ -88,11 +90,16 @@ struct Playback {
 }
 
 impl Performance {
-    /// Rest, until [`Performance::set_gesture`] says otherwise.
+    /// Rest, until [`Performance::set_gesture`] says otherwise. `gestures` are those of the profile,
+    /// [`Profile::gesture_set`](crate::Profile::gesture_set).
     ///
     /// # Panics
     /// If `sample_rate_hz` is not positive, or a duration in `contraction` is negative or not finite.
-    pub fn at_rest(contraction: ContractionSettings, sample_rate_hz: f64) -> Performance {
+    pub fn at_rest(
+        gestures: &GestureSet,
+        contraction: ContractionSettings,
+        sample_rate_hz: f64,
+    ) -> Performance {
         assert!(sample_rate_hz > 0.0 && sample_rate_hz.is_finite(), "sample rate {sample_rate_hz} Hz");
         let samples = |milliseconds: f64| {
             assert!(
@@ -102,30 +109,32 @@ impl Performance {
             (milliseconds * 1e-3 * sample_rate_hz).round().max(1.0)
         };
         let fall_samples = samples(contraction.fall_ms);
-        let mut levels = [0.0; Gesture::COUNT];
-        levels[Gesture::Rest.index()] = 1.0;
+        let mut levels = vec![0.0; gestures.len()];
+        levels[0] = 1.0;
         Performance {
             script: None,
+            gestures: gestures.clone(),
             levels,
             rise_per_sample: (1.0 / samples(contraction.rise_ms)) as f32,
             fall_per_sample: (1.0 / fall_samples) as f32,
             fall_samples: fall_samples as u64,
             sample: 0,
-            truth: Truth { gesture: Gesture::Rest, since_sample: 0 },
+            truth: Truth { gesture: Gesture::REST, since_sample: 0 },
         }
     }
 
-    /// Follows `script` from its first step.
+    /// Follows `script` from its first step. Its gestures are among `gestures`: [`Script::check`]. One that is not is a rest.
     ///
     /// # Panics
     /// As [`Performance::at_rest`].
     pub fn of_script(
+        gestures: &GestureSet,
         script: Script,
         repeat: Repeat,
         contraction: ContractionSettings,
         sample_rate_hz: f64,
     ) -> Performance {
-        let mut performance = Performance::at_rest(contraction, sample_rate_hz);
+        let mut performance = Performance::at_rest(gestures, contraction, sample_rate_hz);
         let first = script.steps()[0];
         let step_ends_at = duration_samples(first.duration, sample_rate_hz);
         performance.script = Some(Playback { script, repeat, sample_rate_hz, step: 0, step_ends_at });
@@ -133,7 +142,8 @@ impl Performance {
         performance
     }
 
-    /// Commands `gesture` from the next sample on, and leaves the script if there was one.
+    /// Commands `gesture` from the next sample on, and leaves the script if there was one. A gesture that the profile does
+    /// not know is a rest.
     pub fn set_gesture(&mut self, gesture: Gesture) {
         self.script = None;
         self.command(gesture);
@@ -149,11 +159,10 @@ impl Performance {
         self.truth
     }
 
-    /// Advances by one sample and returns how strongly each gesture is present in it, indexed by
-    /// [`Gesture::index`].
-    pub(crate) fn next_levels(&mut self) -> &[f32; Gesture::COUNT] {
+    /// Advances by one sample and returns how strongly each gesture is present in it, by class number.
+    pub(crate) fn next_levels(&mut self) -> &[f32] {
         self.follow_script();
-        let commanded = self.truth.gesture.index();
+        let commanded = usize::from(self.gestures.number(self.truth.gesture).unwrap_or(0));
         for (index, level) in self.levels.iter_mut().enumerate() {
             *level = if index == commanded {
                 (*level + self.rise_per_sample).min(1.0)
@@ -174,7 +183,7 @@ impl Performance {
         if playback.step == playback.script.steps().len() {
             playback.step = 0;
             if playback.repeat == Repeat::Once {
-                self.set_gesture(Gesture::Rest);
+                self.set_gesture(Gesture::REST);
                 return;
             }
         }
@@ -184,12 +193,13 @@ impl Performance {
     }
 
     fn command(&mut self, gesture: Gesture) {
+        let gesture = if self.gestures.number(gesture).is_some() { gesture } else { Gesture::REST };
         if gesture == self.truth.gesture {
             return;
         }
         // Rest has no fall to wait for: it is the absence of a contraction. An earlier fall may still be
         // under way.
-        let previous_ends = if self.truth.gesture == Gesture::Rest {
+        let previous_ends = if self.truth.gesture == Gesture::REST {
             self.truth.since_sample.max(self.sample)
         } else {
             self.sample + self.fall_samples
@@ -210,14 +220,21 @@ mod tests {
     const RATE_HZ: f64 = 1000.0;
 
     fn play(text: &str, repeat: Repeat) -> Performance {
-        Performance::of_script(text.parse().unwrap(), repeat, ContractionSettings::default(), RATE_HZ)
+        let script = text.parse().unwrap();
+        Performance::of_script(
+            &GestureSet::default(),
+            script,
+            repeat,
+            ContractionSettings::default(),
+            RATE_HZ,
+        )
     }
 
     /// Truth and levels after each of `count` samples.
-    fn follow(performance: &mut Performance, count: usize) -> Vec<(Truth, [f32; Gesture::COUNT])> {
+    fn follow(performance: &mut Performance, count: usize) -> Vec<(Truth, Vec<f32>)> {
         (0..count)
             .map(|_| {
-                let levels = *performance.next_levels();
+                let levels = performance.next_levels().to_vec();
                 (performance.truth(), levels)
             })
             .collect()
@@ -227,11 +244,11 @@ mod tests {
     fn a_gesture_begins_with_its_rise_and_rest_after_its_fall() {
         let mut performance = play("rest 1s, grip 1s, rest 1s", Repeat::Once);
         let played = follow(&mut performance, 3000);
-        assert_eq!(played[999].0, Truth { gesture: Gesture::Rest, since_sample: 0 });
-        assert_eq!(played[1000].0, Truth { gesture: Gesture::Grip, since_sample: 1000 });
-        assert_eq!(played[1999].0, Truth { gesture: Gesture::Grip, since_sample: 1000 });
-        assert_eq!(played[2000].0, Truth { gesture: Gesture::Rest, since_sample: 2150 });
-        let grip = |sample: usize| played[sample].1[Gesture::Grip.index()];
+        assert_eq!(played[999].0, Truth { gesture: Gesture::REST, since_sample: 0 });
+        assert_eq!(played[1000].0, Truth { gesture: Gesture::GRIP, since_sample: 1000 });
+        assert_eq!(played[1999].0, Truth { gesture: Gesture::GRIP, since_sample: 1000 });
+        assert_eq!(played[2000].0, Truth { gesture: Gesture::REST, since_sample: 2150 });
+        let grip = |sample: usize| played[sample].1[5];
         assert_eq!(grip(999), 0.0);
         assert!((grip(1074) - 0.5).abs() < 1e-3, "halfway up after half of the rise");
         assert!((grip(1150) - 1.0).abs() < 1e-5);
@@ -246,9 +263,9 @@ mod tests {
         let mut once = play("rest 1s, grip 1s", Repeat::Once);
         let forever_played = follow(&mut forever, 4000);
         let once_played = follow(&mut once, 4000);
-        assert_eq!(forever_played[3500].0.gesture, Gesture::Grip);
+        assert_eq!(forever_played[3500].0.gesture, Gesture::GRIP);
         assert!(!forever.is_finished());
-        assert_eq!(once_played[3500].0, Truth { gesture: Gesture::Rest, since_sample: 2150 });
+        assert_eq!(once_played[3500].0, Truth { gesture: Gesture::REST, since_sample: 2150 });
         assert!(once.is_finished());
     }
 
@@ -256,19 +273,19 @@ mod tests {
     fn a_brief_gesture_does_not_hide_the_fall_before_it() {
         let mut performance = play("flexion 1s, rest 50ms, grip 1s", Repeat::Once);
         let played = follow(&mut performance, 1100);
-        assert_eq!(played[1099].0, Truth { gesture: Gesture::Grip, since_sample: 1150 });
+        assert_eq!(played[1099].0, Truth { gesture: Gesture::GRIP, since_sample: 1150 });
     }
 
     #[test]
     fn a_gesture_set_from_outside_replaces_the_script() {
         let mut performance = play("rest 1s, grip 1s", Repeat::Forever);
         follow(&mut performance, 100);
-        performance.set_gesture(Gesture::Ulnar);
+        performance.set_gesture(Gesture::ULNAR);
         let played = follow(&mut performance, 2000);
         assert!(
-            played.iter().all(|(truth, _)| *truth == Truth { gesture: Gesture::Ulnar, since_sample: 100 })
+            played.iter().all(|(truth, _)| *truth == Truth { gesture: Gesture::ULNAR, since_sample: 100 })
         );
-        assert_eq!(played[1999].1[Gesture::Ulnar.index()], 1.0);
-        assert_eq!(played[1999].1[Gesture::Rest.index()], 0.0);
+        assert_eq!(played[1999].1[3], 1.0);
+        assert_eq!(played[1999].1[0], 0.0);
     }
 }

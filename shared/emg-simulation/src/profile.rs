@@ -2,7 +2,7 @@
 //! coherency of every pair of channels. Nothing in a profile depends on a sampling rate.
 
 use serde::{Deserialize, Serialize};
-use tendon_gesture::Gesture;
+use tendon_gesture::{Gesture, GestureSet, InvalidGestureSet};
 use tendon_spectrum::Complex;
 
 /// A small file in the crate: `profiles/default.toml`.
@@ -19,7 +19,7 @@ pub struct Profile {
     /// The frequencies, ascending, at which spectra and coherencies are given. Between them both are
     /// interpolated linearly; below the first and above the last there is no signal.
     pub frequencies_hz: Vec<f64>,
-    /// One entry per gesture, all six, in any order.
+    /// One entry per gesture, rest among them, in any order.
     pub gestures: Vec<GestureProfile>,
 }
 
@@ -55,14 +55,9 @@ pub enum ProfileError {
     /// The text is not TOML, lacks a key, or has an unknown one.
     #[error("profile: {0}")]
     Toml(toml::de::Error),
-    /// A gesture is missing or occurs more than once.
-    #[error("profile: {found} entries for the gesture `{gesture}`: give each of the six gestures once")]
-    Gestures {
-        /// The gesture.
-        gesture: Gesture,
-        /// How many entries it has.
-        found: usize,
-    },
+    /// Rest is missing, a gesture occurs more than once, or there are too few or too many.
+    #[error("profile: {0}")]
+    Gestures(InvalidGestureSet),
     /// The frequencies are not ascending, fewer than two, not finite, or negative.
     #[error("profile: frequencies_hz must be at least two, ascending and not negative")]
     Frequencies,
@@ -144,17 +139,22 @@ impl Profile {
         self.gestures.first().map_or(0, |entry| entry.amplitude_density.len())
     }
 
-    /// Checks that every gesture is present once and every array has the right length.
+    /// The gestures that this person makes.
+    ///
+    /// # Errors
+    /// Rest is missing, a gesture occurs more than once, or there are too few or too many.
+    pub fn gesture_set(&self) -> Result<GestureSet, InvalidGestureSet> {
+        let mut gestures: Vec<Gesture> = self.gestures.iter().map(|entry| entry.gesture).collect();
+        gestures.sort();
+        GestureSet::new(gestures)
+    }
+
+    /// Checks that rest is among the gestures, each of them is present once, and every array has the right length.
     ///
     /// # Errors
     /// The first fault found.
     pub fn check(&self) -> Result<(), ProfileError> {
-        for gesture in Gesture::ALL {
-            let found = self.gestures.iter().filter(|entry| entry.gesture == gesture).count();
-            if found != 1 {
-                return Err(ProfileError::Gestures { gesture, found });
-            }
-        }
+        self.gesture_set().map_err(ProfileError::Gestures)?;
         let ascending = self.frequencies_hz.windows(2).all(|pair| pair[0] < pair[1]);
         let in_range = self.frequencies_hz.iter().all(|hz| hz.is_finite() && *hz >= 0.0);
         if self.frequencies_hz.len() < 2 || !ascending || !in_range {
@@ -272,12 +272,12 @@ mod tests {
             profile.check().expect_err("spoilt")
         };
         assert_eq!(
-            fault(|profile| profile.gestures[5].gesture = Gesture::Rest),
-            ProfileError::Gestures { gesture: Gesture::Rest, found: 2 }
+            fault(|profile| profile.gestures[5].gesture = Gesture::REST),
+            ProfileError::Gestures(InvalidGestureSet::Twice(Gesture::REST))
         );
         assert_eq!(fault(|profile| profile.frequencies_hz.swap(0, 1)), ProfileError::Frequencies);
         let frequencies = Profile::default().frequencies_hz.len();
-        let gesture = Gesture::Extension;
+        let gesture = Gesture::EXTENSION;
         assert_eq!(
             fault(|profile| profile.gestures[1].amplitude_density[2][3] = f64::NAN),
             ProfileError::Density { gesture, channels: 4, frequencies }

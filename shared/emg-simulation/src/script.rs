@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use tendon_gesture::Gesture;
+use tendon_gesture::{Gesture, GestureSet, UnknownGesture};
 
 /// Every gesture once. Rest comes first and is long enough for the five seconds on which the threshold
 /// strategy calibrates.
@@ -37,13 +37,13 @@ pub enum ScriptError {
         /// Where the step should begin.
         column: usize,
     },
-    /// A word that is not the name of a gesture.
+    /// A word that cannot be the name of a gesture.
     #[error("script, column {column}: {unknown}")]
     Gesture {
         /// Where the word begins.
         column: usize,
-        /// The word, and the known names.
-        unknown: tendon_gesture::UnknownGesture,
+        /// The word.
+        unknown: tendon_gesture::NoGestureName,
     },
     /// A gesture without a duration.
     #[error("script, column {column}: expected a duration after `{gesture}`, such as `2s` or `1500ms`")]
@@ -75,16 +75,17 @@ pub enum ScriptError {
 }
 
 impl Script {
-    /// A random sequence that depends on `seed` alone: 6 s of rest, then `gestures` times an active gesture
+    /// A random sequence of `gestures` that depends on `seed` alone: 6 s of rest, then `count` times an active gesture
     /// of 1 to 3 s followed by 1 to 2 s of rest.
-    pub fn random(seed: u64, gestures: usize) -> Script {
+    pub fn random(gestures: &GestureSet, seed: u64, count: usize) -> Script {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let mut steps = vec![Step { gesture: Gesture::Rest, duration: Duration::from_secs(6) }];
-        for _ in 0..gestures {
-            let gesture = Gesture::ACTIVE[rng.random_range(0..Gesture::ACTIVE.len())];
+        let mut steps = vec![Step { gesture: Gesture::REST, duration: Duration::from_secs(6) }];
+        for _ in 0..count {
+            let number = rng.random_range(1..gestures.len()) as u8;
+            let gesture = gestures.get(number).expect("the number is below their count");
             steps.push(Step { gesture, duration: Duration::from_millis(rng.random_range(1000..=3000)) });
             let duration = Duration::from_millis(rng.random_range(1000..=2000));
-            steps.push(Step { gesture: Gesture::Rest, duration });
+            steps.push(Step { gesture: Gesture::REST, duration });
         }
         Script { steps }
     }
@@ -92,6 +93,14 @@ impl Script {
     /// The steps in their order; never empty.
     pub fn steps(&self) -> &[Step] {
         &self.steps
+    }
+
+    /// Checks that every gesture of the script is one of these.
+    ///
+    /// # Errors
+    /// The first that is not, and those that are known.
+    pub fn check(&self, gestures: &GestureSet) -> Result<(), UnknownGesture> {
+        self.steps.iter().try_for_each(|step| gestures.find(step.gesture.name()).map(drop))
     }
 
     /// The sum of all steps.
@@ -161,11 +170,15 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn random(seed: u64, count: usize) -> Script {
+        Script::random(&GestureSet::default(), seed, count)
+    }
+
     #[test]
     fn the_default_script_makes_every_gesture_after_six_seconds_of_rest() {
         let script: Script = DEFAULT_SCRIPT.parse().unwrap();
-        assert_eq!(script.steps()[0], Step { gesture: Gesture::Rest, duration: Duration::from_secs(6) });
-        for gesture in Gesture::ALL {
+        assert_eq!(script.steps()[0], Step { gesture: Gesture::REST, duration: Duration::from_secs(6) });
+        for gesture in Gesture::PAPER {
             assert!(script.steps().iter().any(|step| step.gesture == gesture), "{gesture} is missing");
         }
         assert_eq!(script.duration(), Duration::from_secs(21));
@@ -177,8 +190,8 @@ mod tests {
         assert_eq!(message(""), "script, column 1: expected a step such as `rest 6s`, found nothing");
         assert_eq!(message("rest 6s,"), "script, column 9: expected a step such as `rest 6s`, found nothing");
         assert_eq!(
-            message("rest 6s, fist 2s"),
-            "script, column 10: unknown gesture `fist`: use rest, extension, flexion, ulnar, radial or grip"
+            message("rest 6s, Fist 2s"),
+            "script, column 10: `Fist` cannot be the name of a gesture: take 1 to 23 characters of a-z, 0-9, - and _"
         );
         assert_eq!(
             message("rest 6s,  grip"),
@@ -191,16 +204,23 @@ mod tests {
     }
 
     #[test]
+    fn gestures_that_nobody_can_make_are_named() {
+        let script: Script = "rest 6s, fist 2s".parse().unwrap();
+        let error = script.check(&GestureSet::default()).unwrap_err();
+        assert_eq!(error.name, "fist");
+    }
+
+    #[test]
     fn a_random_script_depends_on_its_seed_alone() {
-        assert_eq!(Script::random(7, 20), Script::random(7, 20));
-        assert_ne!(Script::random(7, 20), Script::random(8, 20));
-        assert_eq!(Script::random(7, 20).steps().len(), 41);
+        assert_eq!(random(7, 20), random(7, 20));
+        assert_ne!(random(7, 20), random(8, 20));
+        assert_eq!(random(7, 20).steps().len(), 41);
     }
 
     proptest! {
         #[test]
         fn what_is_printed_is_read_back(seed: u64, gestures in 0_usize..30) {
-            let script = Script::random(seed, gestures);
+            let script = random(seed, gestures);
             prop_assert_eq!(script.to_string().parse::<Script>(), Ok(script));
         }
 

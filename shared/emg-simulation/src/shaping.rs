@@ -112,7 +112,7 @@ mod tests {
     fn two_channels() -> GestureProfile {
         let coherency = Coherency { channels: [0, 1], real: vec![0.6; 4], imaginary: vec![0.5; 4] };
         GestureProfile {
-            gesture: Gesture::Grip,
+            gesture: Gesture::GRIP,
             amplitude_density: vec![vec![2.0, 8.0, 5.0, 0.5], vec![1.0, 4.0, 2.5, 0.25]],
             coherency: vec![coherency],
         }

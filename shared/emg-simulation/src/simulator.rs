@@ -11,7 +11,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_distr::{Distribution, Exp1, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::{Deserialize, Serialize};
-use tendon_gesture::Gesture;
+use tendon_gesture::GestureSet;
 
 use crate::performance::Performance;
 use crate::profile::{Profile, ProfileError};
@@ -87,6 +87,7 @@ pub enum SimulationError {
 pub struct SimulatedEmg {
     channels: usize,
     profile_channels: usize,
+    gestures: GestureSet,
     noise: NoiseHistory,
     /// The filters of each gesture, in the order of the class numbers; see [`shaping::design`].
     filters: Vec<Vec<f32>>,
@@ -112,20 +113,28 @@ impl SimulatedEmg {
             (0..number).for_each(|_| rng.jump());
             rng
         };
-        let filters = Gesture::ALL.map(|gesture| {
+        let gestures = profile.gesture_set().map_err(ProfileError::Gestures)?;
+        let design = |gesture| {
             shaping::design(&profile.frequencies_hz, profile.gesture(gesture), settings.sample_rate_hz)
-        });
+        };
+        let filters = gestures.iter().map(design).collect();
         Ok(SimulatedEmg {
             channels: settings.channels,
             profile_channels: profile.channels(),
             noise: NoiseHistory::new(settings, stream(0)),
-            filters: filters.to_vec(),
+            gestures,
+            filters,
             mains: Sine::new(settings.mains_hz, settings.mains_amplitude, settings, stream(1)),
             wander: Sine::new(settings.wander_hz, settings.wander_amplitude, settings, stream(2)),
             offset: settings.offset,
             dropouts: Dropouts::new(settings, stream(3)),
             clip_at: settings.clip_at.unwrap_or(f32::INFINITY),
         })
+    }
+
+    /// The gestures of the profile.
+    pub fn gestures(&self) -> &GestureSet {
+        &self.gestures
     }
 
     /// Fills `block`, channel-major `[channels][samples]`, with the next samples and advances `performance`
@@ -361,6 +370,8 @@ impl SimulationSettings {
 mod tests {
     use proptest::prelude::*;
 
+    use tendon_gesture::Gesture;
+
     use super::*;
     use crate::performance::{ContractionSettings, Repeat};
 
@@ -381,6 +392,7 @@ mod tests {
 
     fn playing(script: &str, settings: &SimulationSettings) -> Performance {
         Performance::of_script(
+            &GestureSet::default(),
             script.parse().unwrap(),
             Repeat::Forever,
             ContractionSettings::default(),
@@ -441,7 +453,7 @@ mod tests {
     #[test]
     fn each_gesture_has_the_power_of_its_profile() {
         let profile = Profile::default();
-        for gesture in Gesture::ALL {
+        for gesture in Gesture::PAPER {
             let signal = simulate(&format!("{gesture} 1s"), &undisturbed(), 60_000, &[2000]);
             for (channel, density) in profile.gesture(gesture).amplitude_density.iter().enumerate() {
                 let power: f64 = profile

@@ -67,13 +67,13 @@ pub struct GestureWindows {
 impl GestureWindows {
     fn add(&mut self, truth: Gesture, recognised: Gesture) {
         self.windows += 1;
-        self.moving += u64::from(recognised != Gesture::Rest);
+        self.moving += u64::from(recognised != Gesture::REST);
         self.correct += u64::from(recognised == truth);
         let percent =
             |part: u64, whole: u64| if whole == 0 { 0.0 } else { 100.0 * part as f64 / whole as f64 };
         self.moving_percent = percent(self.moving, self.windows);
         self.correct_percent = percent(self.correct, self.windows);
-        let correct_moving = if truth == Gesture::Rest { 0 } else { self.correct };
+        let correct_moving = if truth == Gesture::REST { 0 } else { self.correct };
         self.correct_of_moving_percent = percent(correct_moving, self.moving);
     }
 }
@@ -196,19 +196,19 @@ impl StrategyTally {
             self.scored_samples += cue_samples;
             let newest_inside = |step: &&Step| (cue.start + 1..=cue.end).contains(&step.end_sample);
             let toggles = steps.iter().filter(newest_inside).filter(|step| step.toggles_gripper);
-            if gesture == Gesture::Grip {
+            if gesture == Gesture::GRIP {
                 self.grip_samples += cue_samples;
                 self.grips += 1;
                 self.grips_answered += u64::from(toggles.count() > 0);
             } else {
                 // A window that still shows the grip before this cue toggles rightly.
                 let shows_grip = |step: &Step| {
-                    let grips = cues.iter().filter(|other| other.gesture == Some(Gesture::Grip));
+                    let grips = cues.iter().filter(|other| other.gesture == Some(Gesture::GRIP));
                     grips.into_iter().any(|grip| step.first_sample < grip.end && step.end_sample > grip.start)
                 };
                 self.false_activations += toggles.filter(|step| !shows_grip(step)).count() as u64;
             }
-            if let Some(onset) = cue.onset.filter(|_| gesture != Gesture::Rest) {
+            if let Some(onset) = cue.onset.filter(|_| gesture != Gesture::REST) {
                 let after_onset = |step: &&Step| step.end_sample > onset && step.end_sample <= cue.end;
                 match steps.iter().filter(after_onset).find(|step| step.voted == gesture) {
                     Some(step) => {
@@ -249,7 +249,7 @@ impl StrategyTally {
             if step.gesture != gesture {
                 *self.mistaken.entry(gesture).or_default().entry(step.gesture).or_default() += 1;
             }
-            let direction = Some(step.voted).filter(|voted| ![Gesture::Rest, Gesture::Grip].contains(voted));
+            let direction = Some(step.voted).filter(|voted| ![Gesture::REST, Gesture::GRIP].contains(voted));
             if let (Some(before), Some(now)) = (direction_before, direction) {
                 self.direction_changes += u64::from(before != now);
             }
@@ -313,7 +313,7 @@ impl Display for StrategyScores {
             let GestureWindows {
                 windows, moving_percent, correct_percent, correct_of_moving_percent, ..
             } = windows;
-            let of_moving = match gesture == Gesture::Rest.name() {
+            let of_moving = match gesture == Gesture::REST.name() {
                 true => "-".to_owned(),
                 false => format!("{correct_of_moving_percent:.2}"),
             };
@@ -359,13 +359,13 @@ mod tests {
 
     /// Rest for 2 s, grip for 2 s with its onset after 0.5 s, ulnar likewise.
     fn cues() -> [CuePart; 3] {
-        [Gesture::Rest, Gesture::Grip, Gesture::Ulnar].map(|gesture| {
-            let start = [Gesture::Rest, Gesture::Grip, Gesture::Ulnar]
+        [Gesture::REST, Gesture::GRIP, Gesture::ULNAR].map(|gesture| {
+            let start = [Gesture::REST, Gesture::GRIP, Gesture::ULNAR]
                 .iter()
                 .position(|other| *other == gesture)
                 .unwrap() as u64
                 * 4000;
-            let onset = (gesture != Gesture::Rest).then_some(start + 1000);
+            let onset = (gesture != Gesture::REST).then_some(start + 1000);
             let begun = Some(onset.map_or(start + 500, |onset| onset - 100));
             CuePart { gesture: Some(gesture), start, begun, onset, end: start + 4000 }
         })
@@ -391,9 +391,9 @@ mod tests {
     fn a_strategy_that_is_always_right_is_said_to_be() {
         let scores = scores(|end| {
             let gesture = match end {
-                0..=4000 => Gesture::Rest,
-                4001..=8000 => Gesture::Grip,
-                _ => Gesture::Ulnar,
+                0..=4000 => Gesture::REST,
+                4001..=8000 => Gesture::GRIP,
+                _ => Gesture::ULNAR,
             };
             (gesture, gesture, end == 6000)
         });
@@ -417,9 +417,9 @@ mod tests {
         // Ulnar and radial in turn during ulnar; the gripper moves once in rest, once late after the grip.
         let scores = scores(|end| {
             let voted = match end {
-                8001.. if end / 150 % 2 == 0 => Gesture::Radial,
-                8001.. => Gesture::Extension,
-                _ => Gesture::Rest,
+                8001.. if end / 150 % 2 == 0 => Gesture::RADIAL,
+                8001.. => Gesture::EXTENSION,
+                _ => Gesture::REST,
             };
             (voted, voted, end == 3000 || end == 8100)
         });
@@ -442,7 +442,7 @@ mod tests {
     fn what_is_none_of_the_six_gestures_is_not_scored() {
         let mut tally = StrategyTally::new(RATE_HZ);
         let cues = cues().map(|cue| CuePart { gesture: None, ..cue });
-        tally.add(7, "train", 0, &cues, &steps(|_| (Gesture::Grip, Gesture::Grip, true)));
+        tally.add(7, "train", 0, &cues, &steps(|_| (Gesture::GRIP, Gesture::GRIP, true)));
         let scores = tally.scores();
         assert_eq!((scores.scored_s, scores.gripper_false_activations_per_min), (0.0, 0.0));
         assert!(scores.per_gesture.is_empty());

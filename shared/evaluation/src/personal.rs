@@ -181,7 +181,10 @@ pub fn score_people(
             Err(reason) => skipped.push(format!("person {number}: {reason}")),
         }
     }
-    let mut tally = Tally::new(&Gesture::ALL.map(tendon_gesture::Class::Gesture));
+    let made = people.values().flat_map(|person| person.sources.iter().map(|source| source.gesture));
+    let made: BTreeSet<Gesture> = made.collect();
+    let classes: Vec<_> = made.into_iter().map(tendon_gesture::Class::Gesture).collect();
+    let mut tally = Tally::new(&classes);
     let (mut scored, mut longest_fit_s, mut fewest_others) = (BTreeSet::new(), 0.0_f64, people.len());
     for (&number, person) in people.iter().filter(|(number, _)| chosen.contains(number)) {
         let prior = prior_without(settings, found.layout, &people, number)?;
@@ -266,7 +269,7 @@ fn person_of(settings: &PersonalSettings, windows: Windows) -> Result<Person, Pe
         scatter: None,
         means: None,
     };
-    let rest = person.calibration().filter(|&window| person.sources[window].gesture == Gesture::Rest);
+    let rest = person.calibration().filter(|&window| person.sources[window].gesture == Gesture::REST);
     let rest = rest.map(|window| &samples[window * length..][..length]);
     let floor_variance = rest_floor(method, channels, rest)?;
     let mut features = LaggedLogCovariance::new(method, channels, dataset.sample_rate_hz, floor_variance)?;
@@ -410,15 +413,21 @@ fn score(
     tally: &mut Tally,
 ) -> Result<(), PersonalError> {
     let mut posterior = vec![0.0; gestures.len()];
-    let mut probabilities = vec![0.0; Gesture::COUNT];
+    let classes = tally.classes();
+    let place = |gesture: &Gesture| {
+        let place = classes.iter().position(|class| class.includes(*gesture));
+        place.expect("the classes are all gestures of all people")
+    };
+    let places: Vec<usize> = gestures.iter().map(place).collect();
+    let mut probabilities = vec![0.0; classes.len()];
     for window in person.scored() {
         let Source { gesture, repetition_of_all, .. } = person.sources[window];
         let Some(truth) = tally.class_of(gesture).filter(|_| gestures.contains(&gesture)) else { continue };
         let begun = Instant::now();
         discriminant.posterior(person.features_of(window), &mut posterior)?;
         let work_ns = person.work_ns[window] + begun.elapsed().as_nanos() as u64;
-        for (gesture, probability) in gestures.iter().zip(&posterior) {
-            probabilities[*gesture as usize] = *probability as f32;
+        for (place, probability) in places.iter().zip(&posterior) {
+            probabilities[*place] = *probability as f32;
         }
         let origin = Origin { person: number, repetition: repetition_of_all };
         tally.record(truth, origin, Answer { probabilities: &probabilities, work_ns });

@@ -38,7 +38,8 @@ impl StrategyModels {
             Strategy::Threshold | Strategy::TwoStage => &self.five_gesture,
             Strategy::Direct => &self.six_class,
         };
-        let recogniser = Recogniser::load(library, strategy, model.as_deref(), self.rest_move.as_deref())?;
+        let recogniser =
+            Recogniser::load(library, &settings.decision, model.as_deref(), self.rest_move.as_deref())?;
         Pipeline::new(settings.clone(), recogniser)
     }
 }

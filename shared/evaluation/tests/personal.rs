@@ -60,7 +60,7 @@ impl Recorder {
                 for _ in 0..TRIAL_SAMPLES {
                     let line: Vec<String> = (0..CHANNELS)
                         .map(|channel| {
-                            let number = gesture as usize;
+                            let number = usize::from(gesture.paper_number().unwrap());
                             let strong =
                                 if number == 0 { 0.0 } else { ((number * (channel + 2)) % 7) as f64 };
                             let gain = 1.0 + 0.3 * f64::from(person) + 0.1 * f64::from(session);
@@ -95,8 +95,8 @@ fn people_are_calibrated_on_their_first_session_and_scored_on_their_last() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::new(folder.path());
     for person in 1..=3 {
-        recorder.record(person, 1, 2, &Gesture::ALL);
-        recorder.record(person, 2, 1, &Gesture::ALL);
+        recorder.record(person, 1, 2, &Gesture::PAPER);
+        recorder.record(person, 2, 1, &Gesture::PAPER);
     }
     let scores = recorder.score(1).unwrap();
     assert_eq!(scores.people, [1, 2, 3].into());
@@ -111,7 +111,7 @@ fn people_are_calibrated_on_their_first_session_and_scored_on_their_last() {
 fn of_a_person_with_one_session_what_did_not_calibrate_is_scored() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::new(folder.path());
-    recorder.record(7, 1, 3, &Gesture::ALL);
+    recorder.record(7, 1, 3, &Gesture::PAPER);
     let scores = recorder.score(2).unwrap();
     assert_eq!((scores.prior_people, scores.evaluation.windows), (0, 6 * 23));
     assert!(scores.evaluation.accuracy > 0.95, "{}", scores.evaluation);
@@ -122,9 +122,9 @@ fn who_cannot_be_calibrated_is_left_out_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::new(folder.path());
     for session in 1..=2 {
-        recorder.record(1, session, 1, &Gesture::ALL);
-        recorder.record(2, session, 1, &Gesture::ACTIVE);
-        recorder.record(3, session, 1, &[Gesture::Rest]);
+        recorder.record(1, session, 1, &Gesture::PAPER);
+        recorder.record(2, session, 1, &Gesture::PAPER_ACTIVE);
+        recorder.record(3, session, 1, &[Gesture::REST]);
     }
     let scores = recorder.score(1).unwrap();
     assert_eq!(scores.people, [1].into());
@@ -134,7 +134,7 @@ fn who_cannot_be_calibrated_is_left_out_with_the_reason() {
 
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::new(folder.path());
-    recorder.record(2, 1, 1, &Gesture::ACTIVE);
+    recorder.record(2, 1, 1, &Gesture::PAPER_ACTIVE);
     let error = recorder.score(1).unwrap_err().to_string();
     assert!(error.contains("nobody can be calibrated") && error.contains("person 2"), "{error}");
 }

@@ -16,7 +16,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 fn evaluate(case: &Value) -> Evaluation {
     let probabilities: Vec<Vec<f64>> =
         case["probabilities"].as_array().unwrap().iter().map(numbers).collect();
-    let gestures = &Gesture::ALL[..probabilities[0].len()];
+    let gestures = &Gesture::PAPER[..probabilities[0].len()];
     let classes: Vec<Class> = gestures.iter().copied().map(Class::Gesture).collect();
     let mut tally = Tally::new(&classes);
     for (truth, probabilities) in numbers(&case["truth"]).iter().zip(&probabilities) {
@@ -58,9 +58,9 @@ fn every_score_is_scikit_learns_to_the_last_digit() {
 
 #[test]
 fn windows_the_classifier_does_not_know_are_counted_and_named() {
-    let mut tally = Tally::new(&Gesture::ACTIVE.map(Class::Gesture));
-    assert_eq!(tally.class_of(Gesture::Rest), None);
-    let truth = tally.class_of(Gesture::Grip).unwrap();
+    let mut tally = Tally::new(&Gesture::PAPER_ACTIVE.map(Class::Gesture));
+    assert_eq!(tally.class_of(Gesture::REST), None);
+    let truth = tally.class_of(Gesture::GRIP).unwrap();
     let answer = Answer { probabilities: &[0.1, 0.1, 0.1, 0.1, 0.6], work_ns: 200_000 };
     tally.record(truth, Origin { person: 19, repetition: 7 }, answer);
     let evaluation = Evaluation::of(&tally);

@@ -110,7 +110,7 @@ impl Report<'_> {
             write!(self.text, "{method}\n\n| gesture | paper |")?;
             self.results.iter().try_for_each(|results| write!(self.text, " {} |", results.source))?;
             write!(self.text, "\n|---|---|{}\n", "---|".repeat(self.results.len()))?;
-            for gesture in Gesture::ACTIVE.map(Gesture::name).into_iter().chain(["total"]) {
+            for gesture in Gesture::PAPER_ACTIVE.each_ref().map(Gesture::name).into_iter().chain(["total"]) {
                 let of = if gesture == "total" { 1000 } else { 200 };
                 let count = paper.fallbacks[gesture];
                 write!(
@@ -252,7 +252,7 @@ impl Report<'_> {
         let classes: Vec<&str> = match (runs.first(), paper) {
             (Some((_, runs)), _) => runs[0].evaluation.classes.iter().map(String::as_str).collect(),
             (None, Some(paper)) => {
-                let known = Gesture::ALL.map(Gesture::name).into_iter();
+                let known = Gesture::PAPER.each_ref().map(Gesture::name).into_iter();
                 known.filter(|class| paper.per_class.contains_key(*class)).collect()
             }
             (None, None) => Vec::new(),
@@ -299,7 +299,7 @@ impl Report<'_> {
             write!(self.text, " {source}: windows | moving | correct | correct of moving |")?;
         }
         write!(self.text, "\n|---|---|{}\n", "---|---|---|---|".repeat(all.len()))?;
-        for gesture in Gesture::ALL.map(Gesture::name) {
+        for gesture in Gesture::PAPER.each_ref().map(Gesture::name) {
             let said = |shares: &BTreeMap<String, f64>| {
                 shares.get(gesture).map_or("–".to_owned(), |share| format!("{share:.2}"))
             };
@@ -378,12 +378,12 @@ impl Report<'_> {
                     "{}, {}\n\n| person, session, repetition | {} |\n|---|{}",
                     results.source,
                     strategy.name(),
-                    Gesture::ALL.map(Gesture::name).join(" | "),
-                    "---|".repeat(Gesture::COUNT)
+                    Gesture::PAPER.each_ref().map(Gesture::name).join(" | "),
+                    "---|".repeat(Gesture::PAPER.len())
                 )?;
                 for row in &scores.per_repetition {
                     write!(self.text, "| {}, {}, {} |", row.person, row.session, row.repetition)?;
-                    for gesture in Gesture::ALL.map(Gesture::name) {
+                    for gesture in Gesture::PAPER.each_ref().map(Gesture::name) {
                         match row.correct_percent.get(gesture) {
                             Some(percent) => write!(self.text, " {percent:.1} |")?,
                             None => write!(self.text, " – |")?,

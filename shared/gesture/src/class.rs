@@ -3,23 +3,23 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::{Gesture, UnknownGesture};
+use crate::{Gesture, NoGestureName};
 
 /// What one output of a classifier stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Class {
     /// One gesture, which may be rest.
     Gesture(Gesture),
-    /// Any of the five active gestures, which the first stage of the two-stage strategy separates from rest.
+    /// Any gesture but rest, which the first stage of the two-stage strategy separates from rest.
     Move,
 }
 
 impl Class {
     /// The classes of the two-stage strategy's first stage.
-    pub const REST_MOVE: [Class; 2] = [Class::Gesture(Gesture::Rest), Class::Move];
+    pub const REST_MOVE: [Class; 2] = [Class::Gesture(Gesture::REST), Class::Move];
 
     /// The name used in model metadata and reports: the gesture's, or `move`.
-    pub const fn name(self) -> &'static str {
+    pub fn name(&self) -> &str {
         match self {
             Class::Gesture(gesture) => gesture.name(),
             Class::Move => "move",
@@ -30,7 +30,7 @@ impl Class {
     pub fn includes(self, gesture: Gesture) -> bool {
         match self {
             Class::Gesture(own) => own == gesture,
-            Class::Move => gesture != Gesture::Rest,
+            Class::Move => gesture != Gesture::REST,
         }
     }
 }
@@ -42,9 +42,9 @@ impl fmt::Display for Class {
 }
 
 impl FromStr for Class {
-    type Err = UnknownGesture;
+    type Err = NoGestureName;
 
-    fn from_str(name: &str) -> Result<Class, UnknownGesture> {
+    fn from_str(name: &str) -> Result<Class, NoGestureName> {
         if name == Class::Move.name() { Ok(Class::Move) } else { name.parse().map(Class::Gesture) }
     }
 }
@@ -55,13 +55,13 @@ mod tests {
 
     #[test]
     fn classes_are_found_by_name_and_include_their_gestures() {
-        for class in Gesture::ALL.map(Class::Gesture).into_iter().chain([Class::Move]) {
+        for class in Gesture::PAPER.map(Class::Gesture).into_iter().chain([Class::Move]) {
             assert_eq!(class.name().parse(), Ok(class));
         }
-        assert_eq!("fist".parse::<Class>(), Err(UnknownGesture("fist".into())));
-        for gesture in Gesture::ALL {
+        assert_eq!("Fist".parse::<Class>(), Err(NoGestureName("Fist".into())));
+        for gesture in Gesture::PAPER {
             let [rest, movement] = Class::REST_MOVE.map(|class| class.includes(gesture));
-            assert_eq!((rest, movement), (gesture == Gesture::Rest, gesture != Gesture::Rest));
+            assert_eq!((rest, movement), (gesture == Gesture::REST, gesture != Gesture::REST));
         }
     }
 }

@@ -4,7 +4,7 @@
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
-use crate::Gesture;
+use crate::{Gesture, GestureSet};
 
 /// How rest and movement are told apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
@@ -41,6 +41,8 @@ impl Strategy {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DecisionSettings {
+    /// The gestures of the session, rest first.
+    pub gestures: GestureSet,
     /// How rest and movement are told apart.
     pub strategy: Strategy,
     /// Windows that vote, the current one included.
@@ -56,6 +58,7 @@ pub struct DecisionSettings {
 impl Default for DecisionSettings {
     fn default() -> Self {
         DecisionSettings {
+            gestures: GestureSet::default(),
             strategy: Strategy::Threshold,
             vote_windows: 3,
             grip_windows: 3,
@@ -107,8 +110,8 @@ const MAXIMUM_GRIPS: u32 = 100;
 /// What is known of a window when the decision is made.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
-    /// Probability of every gesture, by class number.
-    pub probabilities: &'a [f32; Gesture::COUNT],
+    /// Probability of every gesture of the session, by class number.
+    pub probabilities: &'a [f32],
     /// The activity detector says that the muscles are active.
     pub moving: bool,
     /// The window is intact: none of its samples had to be replaced.
@@ -152,7 +155,7 @@ impl Decider {
         settings.check()?;
         Ok(Decider {
             settings: settings.clone(),
-            votes: [Gesture::Rest; MAXIMUM_VOTES],
+            votes: [Gesture::REST; MAXIMUM_VOTES],
             next_vote: 0,
             grips_in_a_row: 0,
             toggled_ns: None,
@@ -164,8 +167,8 @@ impl Decider {
         let (gesture, confidence) = self.recognise(evidence);
         self.votes[self.next_vote] = gesture;
         self.next_vote = (self.next_vote + 1) % self.settings.vote_windows;
-        let voted = majority(&self.votes[..self.settings.vote_windows]);
-        self.grips_in_a_row = if gesture == Gesture::Grip { self.grips_in_a_row + 1 } else { 0 };
+        let voted = majority(&self.settings.gestures, &self.votes[..self.settings.vote_windows]);
+        self.grips_in_a_row = if gesture == Gesture::GRIP { self.grips_in_a_row + 1 } else { 0 };
         Decision {
             gesture,
             confidence,
@@ -177,25 +180,27 @@ impl Decider {
 
     /// Discards the votes: windows are missing, so the last ones say nothing about the present.
     pub fn restart(&mut self) {
-        self.votes = [Gesture::Rest; MAXIMUM_VOTES];
+        self.votes = [Gesture::REST; MAXIMUM_VOTES];
         self.grips_in_a_row = 0;
     }
 
     fn recognise(&self, evidence: &Evidence<'_>) -> (Gesture, f32) {
         let finite = evidence.probabilities.iter().all(|probability| probability.is_finite());
         if !evidence.intact || !finite {
-            return (Gesture::Rest, 1.0);
+            return (Gesture::REST, 1.0);
         }
-        let candidates: &[Gesture] = match self.settings.strategy {
-            Strategy::Threshold if !evidence.moving => return (Gesture::Rest, 1.0),
-            Strategy::Threshold => &Gesture::ACTIVE,
-            Strategy::TwoStage | Strategy::Direct => &Gesture::ALL,
+        let first_candidate = match self.settings.strategy {
+            Strategy::Threshold if !evidence.moving => return (Gesture::REST, 1.0),
+            Strategy::Threshold => 1,
+            Strategy::TwoStage | Strategy::Direct => 0,
         };
-        candidates
+        self.settings
+            .gestures
             .iter()
-            .map(|&gesture| (gesture, evidence.probabilities[gesture.index()]))
+            .zip(evidence.probabilities.iter().copied())
+            .skip(first_candidate)
             .max_by(|(_, left), (_, right)| left.total_cmp(right))
-            .unwrap_or((Gesture::Rest, 1.0))
+            .unwrap_or((Gesture::REST, 1.0))
     }
 
     fn toggles_gripper(&mut self, captured_ns: u64) -> bool {
@@ -214,21 +219,21 @@ impl Decider {
 
 /// The gesture with more than half of the votes. Rest without such a majority, because an arm that waits does
 /// less harm than one that guesses.
-fn majority(votes: &[Gesture]) -> Gesture {
-    Gesture::ALL
-        .into_iter()
+fn majority(gestures: &GestureSet, votes: &[Gesture]) -> Gesture {
+    gestures
+        .iter()
         .find(|gesture| 2 * votes.iter().filter(|vote| *vote == gesture).count() > votes.len())
-        .unwrap_or(Gesture::Rest)
+        .unwrap_or(Gesture::REST)
 }
 
 /// Direction of motion in the arm's base frame (the paper's table of gestures).
 fn direction(gesture: Gesture) -> [f64; 3] {
     match gesture {
-        Gesture::Rest | Gesture::Grip => [0.0, 0.0, 0.0],
-        Gesture::Extension => [0.0, 0.0, 1.0],
-        Gesture::Flexion => [0.0, 0.0, -1.0],
-        Gesture::Ulnar => [0.0, 1.0, 0.0],
-        Gesture::Radial => [0.0, -1.0, 0.0],
+        Gesture::EXTENSION => [0.0, 0.0, 1.0],
+        Gesture::FLEXION => [0.0, 0.0, -1.0],
+        Gesture::ULNAR => [0.0, 1.0, 0.0],
+        Gesture::RADIAL => [0.0, -1.0, 0.0],
+        _ => [0.0, 0.0, 0.0],
     }
 }
 
@@ -239,9 +244,9 @@ mod tests {
 
     const INCREMENT_NS: u64 = 75_000_000;
 
-    fn certain(gesture: Gesture) -> [f32; Gesture::COUNT] {
-        let mut probabilities = [0.02; Gesture::COUNT];
-        probabilities[gesture.index()] = 0.9;
+    fn certain(gesture: Gesture) -> [f32; 6] {
+        let mut probabilities = [0.02; 6];
+        probabilities[usize::from(gesture.paper_number().unwrap())] = 0.9;
         probabilities
     }
 
@@ -265,15 +270,15 @@ mod tests {
     #[test]
     fn gestures_move_the_arm_as_the_paper_says() {
         for (gesture, velocity) in [
-            (Gesture::Extension, [0.0, 0.0, 50.0]),
-            (Gesture::Flexion, [0.0, 0.0, -50.0]),
-            (Gesture::Ulnar, [0.0, 50.0, 0.0]),
-            (Gesture::Radial, [0.0, -50.0, 0.0]),
-            (Gesture::Grip, [0.0, 0.0, 0.0]),
+            (Gesture::EXTENSION, [0.0, 0.0, 50.0]),
+            (Gesture::FLEXION, [0.0, 0.0, -50.0]),
+            (Gesture::ULNAR, [0.0, 50.0, 0.0]),
+            (Gesture::RADIAL, [0.0, -50.0, 0.0]),
+            (Gesture::GRIP, [0.0, 0.0, 0.0]),
         ] {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             let decisions = decide_all(&mut decider, &[(gesture, true); 2]);
-            assert_eq!(decisions[0].voted, Gesture::Rest, "one vote of three is no majority");
+            assert_eq!(decisions[0].voted, Gesture::REST, "one vote of three is no majority");
             assert_eq!(decisions[1].voted, gesture);
             assert_eq!(decisions[1].velocity_mm_per_s, velocity);
         }
@@ -282,7 +287,7 @@ mod tests {
     #[test]
     fn three_grips_toggle_the_gripper_but_not_twice_within_two_seconds() {
         let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
-        let decisions = decide_all(&mut decider, &[(Gesture::Grip, true); 60]);
+        let decisions = decide_all(&mut decider, &[(Gesture::GRIP, true); 60]);
         // 2 s are 26.7 increments: the next toggle comes with window 2 + 27.
         assert_eq!(toggles(&decisions), [2, 29, 56]);
     }
@@ -291,18 +296,18 @@ mod tests {
     fn a_source_that_begins_anew_does_not_keep_the_gripper_shut() {
         let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
         let later = 600_000_000_000;
-        let grip = certain(Gesture::Grip);
+        let grip = certain(Gesture::GRIP);
         let evidence = Evidence { probabilities: &grip, moving: true, intact: true, captured_ns: later };
         assert!((0..3).any(|_| decider.decide(&evidence).toggles_gripper));
         decider.restart();
-        let decisions = decide_all(&mut decider, &[(Gesture::Grip, true); 3]);
+        let decisions = decide_all(&mut decider, &[(Gesture::GRIP, true); 3]);
         assert!(decisions[2].toggles_gripper);
     }
 
     #[test]
     fn a_broken_row_of_grips_toggles_nothing() {
         let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
-        let windows = [Gesture::Grip, Gesture::Grip, Gesture::Ulnar, Gesture::Grip, Gesture::Grip];
+        let windows = [Gesture::GRIP, Gesture::GRIP, Gesture::ULNAR, Gesture::GRIP, Gesture::GRIP];
         let decisions = decide_all(&mut decider, &windows.map(|gesture| (gesture, true)));
         assert!(toggles(&decisions).is_empty());
     }
@@ -313,30 +318,29 @@ mod tests {
         let two_stage = DecisionSettings { strategy: Strategy::TwoStage, ..DecisionSettings::default() };
         let direct = DecisionSettings { strategy: Strategy::Direct, ..DecisionSettings::default() };
         for (settings, moving, expected) in [
-            (&threshold, false, Gesture::Rest),
-            (&threshold, true, Gesture::Grip),
-            (&two_stage, false, Gesture::Grip),
-            (&direct, false, Gesture::Grip),
+            (&threshold, false, Gesture::REST),
+            (&threshold, true, Gesture::GRIP),
+            (&two_stage, false, Gesture::GRIP),
+            (&direct, false, Gesture::GRIP),
         ] {
             let mut decider = Decider::new(settings).unwrap();
-            let decisions = decide_all(&mut decider, &[(Gesture::Grip, moving)]);
+            let decisions = decide_all(&mut decider, &[(Gesture::GRIP, moving)]);
             assert_eq!(decisions[0].gesture, expected);
         }
         for settings in [&two_stage, &direct] {
             let mut decider = Decider::new(settings).unwrap();
-            assert_eq!(decide_all(&mut decider, &[(Gesture::Rest, true)])[0].gesture, Gesture::Rest);
+            assert_eq!(decide_all(&mut decider, &[(Gesture::REST, true)])[0].gesture, Gesture::REST);
         }
     }
 
     #[test]
     fn damaged_windows_are_rest() {
-        for (probabilities, intact) in [(certain(Gesture::Ulnar), false), ([f32::NAN; Gesture::COUNT], true)]
-        {
+        for (probabilities, intact) in [(certain(Gesture::ULNAR), false), ([f32::NAN; 6], true)] {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             for _ in 0..5 {
                 let evidence =
                     Evidence { probabilities: &probabilities, moving: true, intact, captured_ns: 0 };
-                assert_eq!(decider.decide(&evidence).gesture, Gesture::Rest);
+                assert_eq!(decider.decide(&evidence).gesture, Gesture::REST);
             }
         }
     }
@@ -349,7 +353,7 @@ mod tests {
     }
 
     fn gestures() -> impl proptest::strategy::Strategy<Value = Vec<(Gesture, bool)>> {
-        prop::collection::vec((prop::sample::select(Gesture::ALL.to_vec()), any::<bool>()), 1..200)
+        prop::collection::vec((prop::sample::select(Gesture::PAPER.to_vec()), any::<bool>()), 1..200)
     }
 
     proptest! {
@@ -362,7 +366,7 @@ mod tests {
                 prop_assert!(speed <= 50.0);
                 let recent = &decisions[index.saturating_sub(2)..=index];
                 let agreeing = recent.iter().filter(|other| other.gesture == decision.voted).count();
-                prop_assert!(decision.voted == Gesture::Rest || agreeing >= 2);
+                prop_assert!(decision.voted == Gesture::REST || agreeing >= 2);
             }
         }
 

@@ -9,7 +9,9 @@
 mod class;
 mod decide;
 mod label;
+mod set;
 
 pub use class::Class;
 pub use decide::{Decider, Decision, DecisionSettings, Evidence, InvalidDecisionSetting, Strategy};
-pub use label::{Gesture, UnknownGesture};
+pub use label::{Gesture, LONGEST_NAME, NoGestureName, UnknownGesture};
+pub use set::{GestureSet, InvalidGestureSet};

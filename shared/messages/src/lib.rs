@@ -4,7 +4,7 @@
 //! topic         header             payload
 //! blocks        BlockHeader        f32 [channels × samples]   raw EMG as acquired
 //! windows       WindowHeader       f32 [channels × samples]   filtered EMG, the classifier's input tensor
-//! predictions   PredictionHeader   f32 [6]                    probability of every gesture
+//! predictions   PredictionHeader   f32 [gestures]             probability of every gesture
 //! commands      CommandHeader      f32 [6]                    twist: mm/s along x y z, rad/s about x y z
 //! states        StateHeader        f32 [7 + 6]                joints (rad), then position (mm) and roll pitch yaw (rad)
 //! measurements  MeasurementHeader  Measurement [n]            what one process measured of its messages
@@ -114,6 +114,9 @@ macro_rules! traced {
 }
 
 traced!(BlockHeader, WindowHeader, PredictionHeader, CommandHeader, StateHeader, MeasurementHeader);
+
+/// Class number of rest. The others are places in the session's list of gestures.
+pub const REST: u8 = 0;
 
 /// A gesture's class number as it travels, or none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ZeroCopySend)]
@@ -236,8 +239,8 @@ numbered! {
     } otherwise Calibrating
 }
 
-/// Header of a prediction; payload `f32 [6]`, the probability of every gesture by class number, 0 for those
-/// the model does not know.
+/// Header of a prediction; payload `f32 [gestures]`, the probability of every gesture of the session by class number, 0
+/// for those the model does not know.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub struct PredictionHeader {

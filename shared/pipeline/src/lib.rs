@@ -11,7 +11,7 @@
 use std::time::Instant;
 
 use tendon_classifier::{ClassifierError, Recogniser, WindowSource};
-use tendon_gesture::{Decider, Decision, DecisionSettings, Evidence, Gesture, InvalidDecisionSetting};
+use tendon_gesture::{Decider, Decision, DecisionSettings, Evidence, InvalidDecisionSetting};
 use tendon_signal::{Activity, DesignError, SignalChain, SignalSettings, Window};
 
 /// Settings of all stages of a pipeline.
@@ -48,8 +48,8 @@ pub struct Step<'a> {
     pub window: Window,
     /// Its samples, filtered, `[channels × samples]`.
     pub samples: &'a [f32],
-    /// Probability of every gesture, by class number.
-    pub probabilities: &'a [f32; Gesture::COUNT],
+    /// Probability of every gesture of the settings, by class number.
+    pub probabilities: &'a [f32],
     /// What the arm would be told.
     pub decision: Decision,
     /// Time from the window's newest sample being pushed to the decision, ns.

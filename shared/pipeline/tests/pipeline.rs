@@ -11,7 +11,7 @@ use tendon_classifier::{Recogniser, runtime_library};
 use tendon_emg_simulation::{
     ContractionSettings, DEFAULT_SCRIPT, Performance, Profile, Repeat, SimulatedEmg, SimulationSettings,
 };
-use tendon_gesture::{DecisionSettings, Gesture, Strategy};
+use tendon_gesture::{DecisionSettings, Gesture};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_signal::SignalSettings;
 
@@ -34,7 +34,7 @@ fn library() -> Option<PathBuf> {
 
 fn pipeline(library: &Path) -> Pipeline {
     let model = repository().join("models/cnn-five-gesture.onnx");
-    let recogniser = Recogniser::load(library, Strategy::Threshold, Some(&model), None).unwrap();
+    let recogniser = Recogniser::load(library, &DecisionSettings::default(), Some(&model), None).unwrap();
     let settings = PipelineSettings {
         channels: CHANNELS,
         sample_rate_hz: RATE_HZ,
@@ -45,18 +45,19 @@ fn pipeline(library: &Path) -> Pipeline {
 }
 
 /// Number of the first sample, probabilities and voted gesture of every window of 20 s of a simulated person.
-fn decisions(pipeline: &mut Pipeline, block_samples: usize) -> Vec<(u64, [u32; Gesture::COUNT], Gesture)> {
+fn decisions(pipeline: &mut Pipeline, block_samples: usize) -> Vec<(u64, Vec<u32>, Gesture)> {
     let simulation = SimulationSettings { channels: CHANNELS, sample_rate_hz: RATE_HZ, ..Default::default() };
     let mut emg = SimulatedEmg::new(&Profile::default(), &simulation).unwrap();
     let script = DEFAULT_SCRIPT.parse().unwrap();
     let contraction = ContractionSettings::default();
-    let mut performance = Performance::of_script(script, Repeat::Forever, contraction, RATE_HZ);
+    let mut performance =
+        Performance::of_script(emg.gestures(), script, Repeat::Forever, contraction, RATE_HZ);
     let mut block = vec![0.0; CHANNELS * block_samples];
     let mut decisions = Vec::new();
     for _ in 0..40_000 / block_samples {
         emg.fill_block(&mut performance, &mut block);
         let keep = |step: tendon_pipeline::Step<'_>| {
-            let bits = step.probabilities.map(f32::to_bits);
+            let bits = step.probabilities.iter().map(|probability| probability.to_bits()).collect();
             decisions.push((step.window.first_sample, bits, step.decision.voted));
         };
         pipeline.push(&block, keep).unwrap();
@@ -71,7 +72,7 @@ fn decisions_depend_neither_on_the_block_nor_on_what_was_before_a_restart() {
     let expected = decisions(&mut pipeline, 10);
     assert_eq!(expected.len(), (40_000 - 600) / 150 + 1);
     // The comparison says something only if the person moved and was understood.
-    assert!(expected.iter().any(|(_, _, voted)| *voted != Gesture::Rest));
+    assert!(expected.iter().any(|(_, _, voted)| *voted != Gesture::REST));
     for block_samples in [1, 400, 4000] {
         pipeline.restart().unwrap();
         assert!(decisions(&mut pipeline, block_samples) == expected, "blocks of {block_samples}");
@@ -84,7 +85,7 @@ fn a_model_that_does_not_fit_the_settings_is_refused() {
     let fitting = pipeline(&library);
     let settings = PipelineSettings { channels: 3, ..fitting.settings().clone() };
     let model = repository().join("models/cnn-five-gesture.onnx");
-    let recogniser = Recogniser::load(&library, Strategy::Threshold, Some(&model), None).unwrap();
+    let recogniser = Recogniser::load(&library, &DecisionSettings::default(), Some(&model), None).unwrap();
     let error = Pipeline::new(settings, recogniser).unwrap_err().to_string();
     assert!(error.contains("channels: the model wants 4, the configuration has 3"), "{error}");
 }

@@ -273,7 +273,7 @@ mod tests {
     fn orders_read_back_from_their_lines() {
         for order in [
             Order::Start,
-            Order::Gesture(Gesture::Ulnar),
+            Order::Gesture(Gesture::ULNAR),
             Order::Alive,
             Order::Stop,
             Order::Arm,

@@ -189,10 +189,8 @@ impl LabelsOfFiles {
             Ok(gesture) => {
                 labels.labels.push(Label { line, repetition, gesture, start_sample, end_sample });
             }
-            Err(_) => {
-                let known = Gesture::ALL.map(Gesture::name).join(", ");
-                let reason =
-                    format!("{FILE_NAME}, line {line}: gesture `{}` is none of {known}", row.gesture);
+            Err(error) => {
+                let reason = format!("{FILE_NAME}, line {line}: {error}");
                 skipped.push(SkippedEntry { path: file, reason });
             }
         }

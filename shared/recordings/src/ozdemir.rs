@@ -35,12 +35,12 @@ const GESTURES: u32 = 10;
 /// The gesture a number stands for; `None` for all others.
 pub fn gesture(number: u32) -> Option<Gesture> {
     match number {
-        0 => Some(Gesture::Rest),
-        1 => Some(Gesture::Extension),
-        2 => Some(Gesture::Flexion),
-        3 => Some(Gesture::Ulnar),
-        4 => Some(Gesture::Radial),
-        5 => Some(Gesture::Grip),
+        0 => Some(Gesture::REST),
+        1 => Some(Gesture::EXTENSION),
+        2 => Some(Gesture::FLEXION),
+        3 => Some(Gesture::ULNAR),
+        4 => Some(Gesture::RADIAL),
+        5 => Some(Gesture::GRIP),
         _ => None,
     }
 }
@@ -207,7 +207,7 @@ mod tests {
         assert_eq!(trials.len(), 50);
         assert!(trials.iter().all(|(start, trial)| trial.end_sample == Some(start + 12_000)));
         // Cycle 2, grip: 272 s + 50 s.
-        assert_eq!((trials[25].0, trials[25].1.cue), (644_000, Some(Gesture::Grip)));
+        assert_eq!((trials[25].0, trials[25].1.cue), (644_000, Some(Gesture::GRIP)));
         assert_eq!((trials[26].1.cue, trials[26].1.repetition), (None, Some(2)));
         assert!(segments.is_sorted_by_key(|segment| segment.end_sample.unwrap_or(u64::MAX)));
     }

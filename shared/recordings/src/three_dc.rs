@@ -79,12 +79,12 @@ pub(crate) fn file_name(repetition: u32, gesture: u32) -> String {
 /// hand, chuck grip, pinch grip).
 pub(crate) fn gesture(number: u32) -> Option<Gesture> {
     match number {
-        0 => Some(Gesture::Rest),
-        1 => Some(Gesture::Radial),
-        2 => Some(Gesture::Flexion),
-        3 => Some(Gesture::Ulnar),
-        4 => Some(Gesture::Extension),
-        7 => Some(Gesture::Grip),
+        0 => Some(Gesture::REST),
+        1 => Some(Gesture::RADIAL),
+        2 => Some(Gesture::FLEXION),
+        3 => Some(Gesture::ULNAR),
+        4 => Some(Gesture::EXTENSION),
+        7 => Some(Gesture::GRIP),
         _ => None,
     }
 }
@@ -137,6 +137,6 @@ mod tests {
     fn each_of_our_gestures_has_exactly_one_number() {
         let mut found: Vec<Gesture> = (0..GESTURES).filter_map(gesture).collect();
         found.sort();
-        assert_eq!(found, Gesture::ALL);
+        assert_eq!(found, Gesture::PAPER);
     }
 }

@@ -120,19 +120,19 @@ fn a_folder_joins_its_files_in_the_order_of_their_numbers() {
     let folder = write_three_dc(temporary.path(), &[(1, 0, 2), (0, 10, 1), (0, 2, 1), (0, 7, 2)]);
     let frames = read_all(&folder, &settings(&[1, 0], None));
     let expected = [
-        (200.0, Some(Gesture::Flexion)),
-        (700.0, Some(Gesture::Grip)),
-        (701.0, Some(Gesture::Grip)),
+        (200.0, Some(Gesture::FLEXION)),
+        (700.0, Some(Gesture::GRIP)),
+        (701.0, Some(Gesture::GRIP)),
         (1000.0_f32, None),
-        (1000.0, Some(Gesture::Rest)),
-        (1001.0, Some(Gesture::Rest)),
+        (1000.0, Some(Gesture::REST)),
+        (1001.0, Some(Gesture::REST)),
     ];
     assert_eq!(frames, expected.map(|(value, cue)| (vec![-value, value], cue)));
 
     let second = RecordingSettings { repetition: Some(1), ..settings(&[0], None) };
     assert_eq!(read_all(&folder, &second).len(), 2);
     let single = read_all(&folder.join("3dc_EMG_gesture_0_7.txt"), &settings(&[0], None));
-    assert_eq!(single, [(vec![700.0], Some(Gesture::Grip)), (vec![701.0], Some(Gesture::Grip))]);
+    assert_eq!(single, [(vec![700.0], Some(Gesture::GRIP)), (vec![701.0], Some(Gesture::GRIP))]);
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn check_sums_up_the_recording() {
     assert_eq!((summary.samples, summary.file_channels, summary.duration_s), (5, 2, 0.005));
     let spans: Vec<_> =
         summary.cues.iter().map(|span| (span.segment.cue, span.first_sample, span.samples)).collect();
-    assert_eq!(spans, [(Some(Gesture::Rest), 0, 3), (Some(Gesture::Radial), 3, 2)]);
+    assert_eq!(spans, [(Some(Gesture::REST), 0, 3), (Some(Gesture::RADIAL), 3, 2)]);
 }
 
 #[test]
@@ -234,10 +234,10 @@ fn replay_at_the_recordings_own_rate_changes_nothing() {
     let mut block = [0.0; 10];
 
     let first = stream.next_block(&mut block).unwrap().unwrap();
-    assert_eq!((first.first_sample, first.cue, first.cue_since), (0, Some(Gesture::Rest), 0));
+    assert_eq!((first.first_sample, first.cue, first.cue_since), (0, Some(Gesture::REST), 0));
     assert_eq!(block, [0.0, 1.0, 2.0, 3.0, 4.0, -0.0, -1.0, -2.0, -3.0, -4.0]);
     let second = stream.next_block(&mut block).unwrap().unwrap();
-    assert_eq!((second.first_sample, second.cue, second.cue_since), (5, Some(Gesture::Radial), 7));
+    assert_eq!((second.first_sample, second.cue, second.cue_since), (5, Some(Gesture::RADIAL), 7));
     assert_eq!(block[..5], [5.0, 6.0, 100.0, 101.0, 102.0]);
     let third = stream.next_block(&mut block).unwrap().unwrap();
     assert_eq!((third.cue, third.cue_since, third.segment), (None, 13, 2));
@@ -273,11 +273,11 @@ fn replay_keeps_samples_and_cues_together_at_every_rate() {
             let time_s = index as f64 / rate_hz;
             let input = (time_s * 1000.0 + 1e-9) as u32;
             let expected = if input < 300 {
-                Gesture::Rest
+                Gesture::REST
             } else if input < 550 {
-                Gesture::Radial
+                Gesture::RADIAL
             } else {
-                Gesture::Flexion
+                Gesture::FLEXION
             };
             assert_eq!(cue, Some(expected), "{rate_hz} Hz, sample {index}");
             // The low-pass passes 20 Hz with 0.3 %, but not the kinks where the first and last sample are

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use hdrhistogram::Histogram;
-use tendon_gesture::Gesture;
+use tendon_gesture::GestureSet;
 use tendon_messages::{Measured, Measurement, MeasurementHeader, MessageTimes, STAGE_COUNT, Stage};
 
 /// Longest duration a histogram tells apart from longer ones, ns.
@@ -106,8 +106,8 @@ pub struct SessionMeasurements {
     pub control_tick: Histogram<u64>,
     /// The robot's receipt of a command to the bytes given to the arm's network.
     pub command_to_wire: Histogram<u64>,
-    /// Windows by true and by recognised gesture, of those that lie wholly inside one gesture.
-    pub recognised: [[u64; Gesture::COUNT]; Gesture::COUNT],
+    /// Windows by class number of the true and of the recognised gesture, of those that lie wholly inside one gesture.
+    pub recognised: [[u64; GestureSet::MAXIMUM]; GestureSet::MAXIMUM],
 }
 
 /// An empty histogram of durations: 1 ns to one minute, in three significant digits.
@@ -354,7 +354,7 @@ mod tests {
         let wild = wild.into();
         session.absorb(&MeasurementHeader { stage: 9, ..MeasurementHeader::default() }, &[wild]);
         session.absorb(&header(Stage::Decision, 1, 1, 1), &[wild]);
-        assert_eq!(session.recognised, <[[u64; 6]; 6]>::default());
+        assert_eq!(session.recognised, <[[u64; 13]; 13]>::default());
         assert_eq!(session.newest_sample_to_command.len(), 1);
     }
 }

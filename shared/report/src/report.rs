@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
-use tendon_gesture::Gesture;
+use tendon_gesture::GestureSet;
 use tendon_messages::Stage;
 use tendon_provenance::Provenance;
 use tendon_zones::TaskReport;
@@ -121,6 +121,8 @@ pub struct SessionFacts {
     pub model: String,
     /// The strategy's name.
     pub strategy: String,
+    /// The session's gestures.
+    pub gestures: GestureSet,
     /// What the kernel granted, by stage.
     pub scheduling: BTreeMap<String, String>,
     /// Seconds of samples in a block if the session was a replay at full speed.
@@ -264,18 +266,21 @@ pub struct GestureRecognition {
 }
 
 impl Recognition {
-    fn of(recognised: &[[u64; Gesture::COUNT]; Gesture::COUNT]) -> Recognition {
+    fn of(
+        gestures: &GestureSet,
+        recognised: &[[u64; GestureSet::MAXIMUM]; GestureSet::MAXIMUM],
+    ) -> Recognition {
         let mut recognition = Recognition::default();
-        for (truth, row) in Gesture::ALL.into_iter().zip(recognised) {
+        for (number, (truth, row)) in gestures.iter().zip(recognised).enumerate() {
             let windows: u64 = row.iter().sum();
             if windows == 0 {
                 continue;
             }
-            let correct = row[truth.index()];
+            let correct = row[number];
             recognition.windows += windows;
             recognition.correct += correct;
-            let recognised_as = Gesture::ALL
-                .into_iter()
+            let recognised_as = gestures
+                .iter()
                 .zip(row)
                 .filter(|(_, count)| **count > 0)
                 .map(|(gesture, count)| (gesture.name().to_owned(), *count))
@@ -349,7 +354,7 @@ impl Report {
                 .into_iter()
                 .map(|stage| (stage.name().to_owned(), measurements.allocations(stage)))
                 .collect(),
-            recognition: Recognition::of(&measurements.recognised),
+            recognition: Recognition::of(&facts.gestures, &measurements.recognised),
             replay_x_real_time,
             task: facts.task,
             restarts: facts.restarts,
@@ -366,6 +371,8 @@ impl Report {
 
 #[cfg(test)]
 mod tests {
+    use tendon_gesture::Gesture;
+
     use super::*;
     use tendon_messages::{Measured, MeasurementHeader, MessageTimes};
 
@@ -381,10 +388,10 @@ mod tests {
         let times =
             MessageTimes { transit_ns: 20_000, work_ns: 5_000, newest_sample_to_publish_ns: Some(400_000) };
         let seen = |gesture: Gesture| {
-            let (truth, gesture) = (Some(Gesture::Extension as u8), gesture as u8);
+            let (truth, gesture) = (Some(1), gesture.paper_number().unwrap());
             Measured::Decision { times, window_start_to_publish_ns: 300_000_000, truth, gesture }.into()
         };
-        measurements.absorb(&decision, &[seen(Gesture::Extension), seen(Gesture::Grip)]);
+        measurements.absorb(&decision, &[seen(Gesture::EXTENSION), seen(Gesture::GRIP)]);
         let report = Report::new(SessionFacts::default(), &measurements);
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["hops"][2]["from"], "inference");

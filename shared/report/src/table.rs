@@ -3,7 +3,6 @@
 use std::fmt::{Result, Write};
 use std::time::Duration;
 
-use tendon_gesture::Gesture;
 use tendon_messages::Stage;
 
 use crate::measurements::SessionMeasurements;
@@ -97,10 +96,8 @@ impl Report {
             "recognition  {correct} of {windows} windows inside a gesture ({:.1} %):",
             percent(*correct, *windows)
         )?;
-        for gesture in Gesture::ALL {
-            if let Some(recognition) = per_gesture.get(gesture.name()) {
-                write!(out, "  {gesture} {:.0} %", percent(recognition.correct, recognition.windows))?;
-            }
+        for (gesture, recognition) in per_gesture {
+            write!(out, "  {gesture} {:.0} %", percent(recognition.correct, recognition.windows))?;
         }
         writeln!(out)
     }

@@ -5,7 +5,7 @@
 //! q, Esc, Ctrl-C ──────────────┐
 //! SIGINT, SIGTERM, SIGHUP ─────┼▶ RobotLine::end, then Event::Stop
 //! the terminal is gone ────────┘
-//! e f u r g n (with --keyboard) ▶ Event::Order to acquisition
+//! e f u r g n, 0 to 9 (with --keyboard) ▶ Event::Order to acquisition
 //! ```
 
 use std::os::fd::AsFd;
@@ -17,7 +17,7 @@ use nix::sys::termios::{OutputFlags, SetArg, Termios, cfmakeraw, tcgetattr, tcse
 use nix::unistd::{getpgrp, read, tcgetpgrp};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use tendon_gesture::Gesture;
+use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Stage;
 use tendon_process::Order;
 
@@ -31,6 +31,16 @@ const ESCAPE: u8 = 0x1b;
 const CONTROL_C: u8 = 0x03;
 const CONTROL_BACKSLASH: u8 = 0x1c;
 const CONTROL_Z: u8 = 0x1a;
+
+/// Letters of the paper's gestures, `n` for none of them.
+const GESTURE_LETTERS: [(u8, Gesture); 6] = [
+    (b'n', Gesture::REST),
+    (b'e', Gesture::EXTENSION),
+    (b'f', Gesture::FLEXION),
+    (b'u', Gesture::ULNAR),
+    (b'r', Gesture::RADIAL),
+    (b'g', Gesture::GRIP),
+];
 
 /// Why the keys cannot be heard.
 #[derive(Debug, thiserror::Error)]
@@ -84,7 +94,7 @@ impl Keyboard {
         tcgetpgrp(std::io::stdin()).is_ok_and(|group| group == getpgrp())
     }
 
-    /// Listens to the keys for stop, arm and quit, and to those for gestures if `with_gestures`.
+    /// Listens to the keys for stop, arm and quit, and to those for `gestures` if they are given.
     ///
     /// # Errors
     ///
@@ -92,7 +102,7 @@ impl Keyboard {
     pub fn listen(
         robot: &RobotLine,
         events: &Sender<Event>,
-        with_gestures: bool,
+        gestures: Option<&GestureSet>,
     ) -> Result<Keyboard, KeyboardError> {
         let before = tcgetattr(std::io::stdin()).map_err(|_| KeyboardError::NoTerminal)?;
         let mut raw = before.clone();
@@ -101,10 +111,10 @@ impl Keyboard {
         raw.output_flags.insert(OutputFlags::OPOST);
         tcsetattr(std::io::stdin(), SetArg::TCSANOW, &raw).map_err(|_| KeyboardError::NoTerminal)?;
         let keyboard = Keyboard { before };
-        let (robot, events) = (robot.clone(), events.clone());
+        let (robot, events, gestures) = (robot.clone(), events.clone(), gestures.cloned());
         std::thread::Builder::new()
             .name("keyboard".to_owned())
-            .spawn(move || hear(&robot, &events, with_gestures))
+            .spawn(move || hear(&robot, &events, gestures.as_ref()))
             .map_err(KeyboardError::Thread)?;
         Ok(keyboard)
     }
@@ -127,7 +137,7 @@ enum Key {
 }
 
 /// The thread: obeys keys until the terminal is gone.
-fn hear(robot: &RobotLine, events: &Sender<Event>, with_gestures: bool) {
+fn hear(robot: &RobotLine, events: &Sender<Event>, gestures: Option<&GestureSet>) {
     let mut bytes = [0; 64];
     loop {
         let count = match read(std::io::stdin(), &mut bytes) {
@@ -158,7 +168,7 @@ fn hear(robot: &RobotLine, events: &Sender<Event>, with_gestures: bool) {
             quit(robot, events);
             return;
         }
-        if !meaning(&bytes[..count], with_gestures).iter().all(is_heard) {
+        if !meaning(&bytes[..count], gestures).iter().all(is_heard) {
             return;
         }
     }
@@ -175,9 +185,31 @@ fn wait_for_input(timeout: PollTimeout) -> bool {
     poll(&mut [PollFd::new(input.as_fd(), PollFlags::POLLIN)], timeout).is_ok_and(|count| count > 0)
 }
 
+/// The gesture of a key: a letter for the paper's, the class number for any.
+fn gesture_of(gestures: &GestureSet, key: u8) -> Option<Gesture> {
+    let with_letter = GESTURE_LETTERS.iter().find(|(letter, _)| *letter == key).map(|(_, gesture)| *gesture);
+    match with_letter {
+        Some(gesture) => gestures.number(gesture).map(|_| gesture),
+        None => key.checked_sub(b'0').filter(|number| *number <= 9).and_then(|number| gestures.get(number)),
+    }
+}
+
+/// What the keys of gestures do, for the person at them.
+pub fn gesture_keys(gestures: &GestureSet) -> String {
+    let key = |(number, gesture): (usize, Gesture)| {
+        let letter = GESTURE_LETTERS.iter().find(|(_, other)| *other == gesture);
+        match letter {
+            Some((letter, _)) => Some(format!("{} {gesture}", char::from(*letter))),
+            None => (number <= 9).then(|| format!("{number} {gesture}")),
+        }
+    };
+    let keys: Vec<String> = gestures.iter().enumerate().filter_map(key).collect();
+    format!("keys: {}", keys.join(", "))
+}
+
 /// What these bytes mean together, in the order in which to obey: a stop comes before all else, and counts also where the
 /// session is to end.
-fn meaning(bytes: &[u8], with_gestures: bool) -> Vec<Key> {
+fn meaning(bytes: &[u8], gestures: Option<&GestureSet>) -> Vec<Key> {
     let is_stop = bytes.contains(&b' ');
     if bytes.first() == Some(&ESCAPE) {
         // Alone it quits; an arrow key sends it before other bytes, which mean nothing here.
@@ -188,16 +220,9 @@ fn meaning(bytes: &[u8], with_gestures: bool) -> Vec<Key> {
         // Also what ends or stops a program elsewhere: Ctrl-\\ and Ctrl-Z.
         CONTROL_C | CONTROL_BACKSLASH | CONTROL_Z | b'q' | b'Q' => Some(Key::Quit),
         b'a' | b'A' => Some(Key::Arm),
-        b'e' => Some(Key::Gesture(Gesture::Extension)),
-        b'f' => Some(Key::Gesture(Gesture::Flexion)),
-        b'u' => Some(Key::Gesture(Gesture::Ulnar)),
-        b'r' => Some(Key::Gesture(Gesture::Radial)),
-        b'g' => Some(Key::Gesture(Gesture::Grip)),
-        b'n' => Some(Key::Gesture(Gesture::Rest)),
-        _ => None,
+        byte => gestures.and_then(|gestures| gesture_of(gestures, byte)).map(Key::Gesture),
     });
-    let is_heard = |key: &Key| with_gestures || !matches!(key, Key::Gesture(_));
-    let keys: Vec<Key> = keys.flatten().filter(is_heard).collect();
+    let keys: Vec<Key> = keys.flatten().collect();
     match (is_stop, keys.contains(&Key::Quit)) {
         (true, true) => vec![Key::Stop, Key::Quit],
         (true, false) => vec![Key::Stop],
@@ -212,23 +237,34 @@ mod tests {
 
     #[test]
     fn keys_mean_what_the_help_line_says_and_a_stop_comes_before_all_else() {
-        assert_eq!(meaning(b" ", false), [Key::Stop]);
-        assert_eq!(meaning(b"a", false), [Key::Arm]);
-        assert_eq!(meaning(b"q", false), [Key::Quit]);
-        assert_eq!(meaning(&[CONTROL_C], false), [Key::Quit]);
-        assert_eq!(meaning(b"x", false), []);
-        assert_eq!(meaning(b"e", false), []);
-        assert_eq!(meaning(b"e", true), [Key::Gesture(Gesture::Extension)]);
-        assert_eq!(meaning(b"an r", true), [Key::Stop]);
-        assert_eq!(meaning(b"aa", true), [Key::Arm]);
-        assert_eq!(meaning(b"\x1b[A", false), [], "an arrow key");
+        assert_eq!(meaning(b" ", None), [Key::Stop]);
+        assert_eq!(meaning(b"a", None), [Key::Arm]);
+        assert_eq!(meaning(b"q", None), [Key::Quit]);
+        assert_eq!(meaning(&[CONTROL_C], None), [Key::Quit]);
+        assert_eq!(meaning(b"x", None), []);
+        assert_eq!(meaning(b"e", None), []);
+        assert_eq!(meaning(b"e", Some(&GestureSet::default())), [Key::Gesture(Gesture::EXTENSION)]);
+        assert_eq!(meaning(b"an r", Some(&GestureSet::default())), [Key::Stop]);
+        assert_eq!(meaning(b"aa", Some(&GestureSet::default())), [Key::Arm]);
+        assert_eq!(meaning(b"2", Some(&GestureSet::default())), [Key::Gesture(Gesture::FLEXION)]);
+        assert_eq!(meaning(b"6", Some(&GestureSet::default())), []);
+        assert_eq!(meaning(b"\x1b[A", None), [], "an arrow key");
+    }
+
+    #[test]
+    fn every_gesture_of_a_session_has_a_key() {
+        let gestures = ["rest", "fist", "grip"].map(|name| name.parse().unwrap());
+        let gestures = GestureSet::new(gestures.to_vec()).unwrap();
+        assert_eq!(gesture_keys(&gestures), "keys: n rest, 1 fist, g grip");
+        assert_eq!(meaning(b"1", Some(&gestures)), [Key::Gesture("fist".parse().unwrap())]);
+        assert_eq!(meaning(b"e", Some(&gestures)), []);
     }
 
     #[test]
     fn a_stop_counts_whatever_comes_with_it() {
         for bytes in [&b" q"[..], b"q ", b" \x03", b"a q"] {
-            assert_eq!(meaning(bytes, false), [Key::Stop, Key::Quit], "{bytes:?}");
+            assert_eq!(meaning(bytes, None), [Key::Stop, Key::Quit], "{bytes:?}");
         }
-        assert_eq!(meaning(b"\x1b ", false), [Key::Stop]);
+        assert_eq!(meaning(b"\x1b ", None), [Key::Stop]);
     }
 }

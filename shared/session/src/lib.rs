@@ -25,7 +25,7 @@ pub use arm_stops::{is_found_waiting, stop_words};
 pub use children::{ChildrenError, Event, check_source_program};
 pub use failure::SessionFailure;
 pub use find::{BecomeOwnerError, become_owner};
-pub use keys::{Keyboard, KeyboardError, stop_on_signals};
+pub use keys::{Keyboard, KeyboardError, gesture_keys, stop_on_signals};
 pub use robot_line::RobotLine;
 pub use watch::{Turn, Usage, Watch};
 pub use writer::{OutputError, Writer};

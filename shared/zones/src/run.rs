@@ -88,7 +88,7 @@ impl TaskRun {
         Ok(TaskRun {
             plan,
             user,
-            gesture: Gesture::Rest,
+            gesture: Gesture::REST,
             gesture_is_known: true,
             first_captured_ns: None,
             under_way: None,
@@ -127,7 +127,7 @@ impl TaskRun {
         if let Some(user) = &mut self.user {
             let wanted = user.gesture(time_s, position_mm, task.zone());
             // An arm that waits for a rest gets one: the live line asks for it.
-            let gesture = if may_move { wanted } else { Gesture::Rest };
+            let gesture = if may_move { wanted } else { Gesture::REST };
             if gesture != self.gesture {
                 self.gesture = gesture;
                 self.gesture_is_known = false;
@@ -264,8 +264,8 @@ mod tests {
                 break gesture;
             }
         };
-        follow(&mut run, Permission::Granted, &|gesture| gesture != Gesture::Rest);
-        assert_eq!(follow(&mut run, Permission::Stopped, &|_| true), Gesture::Rest);
+        follow(&mut run, Permission::Granted, &|gesture| gesture != Gesture::REST);
+        assert_eq!(follow(&mut run, Permission::Stopped, &|_| true), Gesture::REST);
     }
 
     #[test]

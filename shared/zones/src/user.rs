@@ -112,10 +112,10 @@ struct Release {
 
 /// A gesture and where it moves the arm: the paper's table.
 const MOVES: [(Gesture, DVec3); 4] = [
-    (Gesture::Ulnar, DVec3::Y),
-    (Gesture::Radial, DVec3::NEG_Y),
-    (Gesture::Extension, DVec3::Z),
-    (Gesture::Flexion, DVec3::NEG_Z),
+    (Gesture::ULNAR, DVec3::Y),
+    (Gesture::RADIAL, DVec3::NEG_Y),
+    (Gesture::EXTENSION, DVec3::Z),
+    (Gesture::FLEXION, DVec3::NEG_Z),
 ];
 
 impl SimulatedUser {
@@ -148,7 +148,7 @@ impl SimulatedUser {
     /// The gesture that is made now, with the arm at `position_mm` and this zone to reach.
     pub fn gesture(&mut self, time_s: f64, position_mm: DVec3, zone: &Zone) -> Gesture {
         self.positions.push_back((time_s, position_mm));
-        let Some(seen_mm) = self.seen_mm(time_s) else { return Gesture::Rest };
+        let Some(seen_mm) = self.seen_mm(time_s) else { return Gesture::REST };
         self.notice(time_s, seen_mm, zone);
         match self.phase {
             Phase::Rest { judges_s, released } => {
@@ -162,7 +162,7 @@ impl SimulatedUser {
         }
         match self.phase {
             Phase::Contract(contraction) => contraction.gesture,
-            _ => Gesture::Rest,
+            _ => Gesture::REST,
         }
     }
 
@@ -253,7 +253,7 @@ impl SimulatedUser {
         let (right, direction, missing_mm) = best_move(&zone, seen_mm);
         let (gesture, end) = if self.rng.random_bool(self.error_rate) {
             let wrong: Vec<Gesture> =
-                Gesture::ACTIVE.into_iter().filter(|gesture| *gesture != right).collect();
+                Gesture::PAPER_ACTIVE.into_iter().filter(|gesture| *gesture != right).collect();
             let gesture = wrong[self.rng.random_range(0..wrong.len())];
             // The slip is felt at once, but takes another reaction time to be mended.
             (gesture, End::Wrong(time_s + self.reaction_s()))
@@ -358,7 +358,7 @@ mod tests {
     impl Plant {
         fn new(onset_s: f64, offset_s: f64) -> Plant {
             Plant {
-                made: vec![(0.0, Gesture::Rest)],
+                made: vec![(0.0, Gesture::REST)],
                 onset_s,
                 offset_s,
                 direction: DVec3::ZERO,
@@ -373,10 +373,10 @@ mod tests {
             }
             let window_end_s = (time_s / 0.075).floor() * 0.075;
             let acts = |(begun_s, gesture): &&(f64, Gesture)| {
-                let delay_s = if *gesture == Gesture::Rest { self.offset_s } else { self.onset_s };
+                let delay_s = if *gesture == Gesture::REST { self.offset_s } else { self.onset_s };
                 begun_s + delay_s <= window_end_s
             };
-            let acting = self.made.iter().rev().find(acts).map_or(Gesture::Rest, |(_, gesture)| *gesture);
+            let acting = self.made.iter().rev().find(acts).map_or(Gesture::REST, |(_, gesture)| *gesture);
             let direction = MOVES.iter().find(|(gesture, _)| *gesture == acting);
             self.direction = direction.map_or(DVec3::ZERO, |(_, direction)| *direction);
             let wanted = self.direction * SPEED_MM_PER_S - self.velocity_mm_per_s;
@@ -432,7 +432,7 @@ mod tests {
             let user = UserSettings { error_rate, ..UserSettings::default() };
             let settings = TaskSettings { user, ..TaskSettings::default() };
             let (report, made) = play(&settings, Plant::new(0.45, 0.45), 300.0);
-            (report, made.iter().filter(|(_, gesture)| *gesture == Gesture::Grip).count())
+            (report, made.iter().filter(|(_, gesture)| *gesture == Gesture::GRIP).count())
         };
         // No zone needs a grip, so each is a wrong gesture.
         let (flawless, no_grips) = grips(0.0);

@@ -8,7 +8,7 @@ fn no_fresh_command_is_a_rest_after_the_watchdogs_time() {
     rig.pass(150 + 80 - INCREMENT_MS + 8);
     assert_eq!(rig.speed(), 0.0);
     assert_eq!((rig.permission(), rig.reason()), (Permission::AwaitRest, Some(StopReason::NoCommands)));
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 4);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 4);
     assert_eq!(rig.speed(), 0.0);
     rig.rest(3);
     assert_eq!(rig.permission(), Permission::Granted);
@@ -22,7 +22,7 @@ fn stale_commands_are_not_acted_on() {
         rig.pass(INCREMENT_MS);
         let header = CommandHeader {
             trace: Trace { sequence: rig.sequence, captured_ns: captured_ns - 30 * MS, ..Trace::default() },
-            gesture: Gesture::Ulnar as u8,
+            gesture: Gesture::ULNAR.paper_number().unwrap(),
             ..CommandHeader::default()
         };
         rig.sequence += 1;
@@ -36,7 +36,7 @@ fn stale_commands_are_not_acted_on() {
 fn commands_of_a_decision_process_that_began_anew_stop_the_arm() {
     let mut rig = Rig::moving();
     rig.sequence = 0;
-    rig.command(Gesture::Ulnar, &SIDEWAYS);
+    rig.command(Gesture::ULNAR, &SIDEWAYS);
     rig.assert_stopped(StopReason::StageEnded);
 }
 
@@ -76,7 +76,7 @@ fn a_gap_a_stale_and_a_lost_command_start_the_count_of_rests_again() {
 fn a_stop_stops_the_gripper_and_a_grip_while_stopped_leaves_nothing_at_odds() {
     let mut rig = Rig::moving();
     rig.gripper_toggles += 1;
-    rig.hold(Gesture::Grip, &STILL, 1);
+    rig.hold(Gesture::GRIP, &STILL, 1);
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, Some(-10.0));
     rig.arm.0.borrow_mut().report.gripper_pulses = Some(300.0);
     rig.controller.order_stop();
@@ -86,7 +86,7 @@ fn a_stop_stops_the_gripper_and_a_grip_while_stopped_leaves_nothing_at_odds() {
     rig.assert_arms();
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, None, "it is not made up for");
     rig.gripper_toggles += 1;
-    rig.hold(Gesture::Grip, &STILL, 1);
+    rig.hold(Gesture::GRIP, &STILL, 1);
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, Some(850.0), "half closed, it opens");
 }
 
@@ -94,11 +94,11 @@ fn a_stop_stops_the_gripper_and_a_grip_while_stopped_leaves_nothing_at_odds() {
 fn a_gripper_on_its_way_stays_where_it_is_when_the_arm_rests_and_after_a_restart() {
     let mut rig = Rig::moving();
     rig.gripper_toggles += 1;
-    rig.hold(Gesture::Grip, &STILL, 1);
+    rig.hold(Gesture::GRIP, &STILL, 1);
     rig.arm.0.borrow_mut().report.gripper_pulses = Some(300.0);
     rig.arm.0.borrow_mut().report.is_gripper_moving = true;
     rig.supervisor_lives = false;
-    rig.hold(Gesture::Rest, &STILL, 3);
+    rig.hold(Gesture::REST, &STILL, 3);
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, Some(300.0));
     let mut rig =
         Rig::new(settings(), ArmSettings::default().start_joints_rad(), Some(StopReason::StageEnded));
@@ -113,7 +113,7 @@ fn without_a_gripper_none_is_commanded() {
     rig.pass(300);
     rig.rest(3);
     rig.gripper_toggles += 1;
-    rig.hold(Gesture::Grip, &STILL, 2);
+    rig.hold(Gesture::GRIP, &STILL, 2);
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, None);
     assert!(rig.state().gripper_position.is_nan());
 }
@@ -123,7 +123,7 @@ fn the_state_says_why_a_held_gesture_does_not_move_the_arm() {
     let mut rig = Rig::at_start();
     rig.pass(300);
     rig.rest(3);
-    rig.hold(Gesture::Extension, &UP, 70);
+    rig.hold(Gesture::EXTENSION, &UP, 70);
     assert_eq!((rig.permission(), rig.speed() < 0.1), (Permission::Granted, true));
     let face = Hindrance::WorkspaceFace { axis: 2, is_upper: true };
     assert_eq!(Hindrance::from_number(rig.state().hindrance), Some(face));
@@ -160,7 +160,7 @@ fn the_pose_is_that_of_our_own_kinematics() {
 #[test]
 fn a_twist_that_is_no_number_stops_the_arm() {
     let mut rig = Rig::moving();
-    rig.command(Gesture::Ulnar, &[f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    rig.command(Gesture::ULNAR, &[f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.0]);
     rig.pass(250);
     assert_eq!((rig.speed(), rig.permission()), (0.0, Permission::Stopped));
 }

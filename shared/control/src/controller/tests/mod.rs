@@ -89,8 +89,8 @@ impl Rig {
         let header = CommandHeader {
             trace,
             context: WindowContext { first_sample: self.first_sample, ..self.context },
-            gesture: gesture as u8,
-            voted: gesture as u8,
+            gesture: gesture.paper_number().unwrap(),
+            voted: gesture.paper_number().unwrap(),
             gripper_toggles: self.gripper_toggles,
             ..CommandHeader::default()
         };
@@ -108,7 +108,7 @@ impl Rig {
     }
 
     fn rest(&mut self, windows: u64) {
-        self.hold(Gesture::Rest, &STILL, windows);
+        self.hold(Gesture::REST, &STILL, windows);
     }
 
     /// On the way to its start position, at full speed.
@@ -125,7 +125,7 @@ impl Rig {
         let mut rig = Rig::at_start();
         rig.pass(300);
         rig.rest(3);
-        rig.hold(Gesture::Ulnar, &SIDEWAYS, 6);
+        rig.hold(Gesture::ULNAR, &SIDEWAYS, 6);
         assert!(rig.speed() > 97.0, "{}", rig.speed());
         rig
     }
@@ -159,7 +159,7 @@ impl Rig {
         self.gripper_toggles += 1;
         for _ in 0..3 {
             self.rest(5);
-            self.hold(Gesture::Ulnar, &SIDEWAYS, 5);
+            self.hold(Gesture::ULNAR, &SIDEWAYS, 5);
         }
         assert_eq!(self.arm.0.borrow().joints_rad, at, "{reason:?}: it moved");
         assert_eq!(self.arm.0.borrow().gripper_target_pulses, None, "{reason:?}: its gripper moved");
@@ -183,11 +183,11 @@ impl Rig {
     fn assert_arms(&mut self) {
         let at = self.arm.0.borrow().joints_rad;
         assert_eq!(self.arm(), ArmAnswer::Armed);
-        self.hold(Gesture::Ulnar, &SIDEWAYS, 5);
+        self.hold(Gesture::ULNAR, &SIDEWAYS, 5);
         assert_eq!(self.arm.0.borrow().joints_rad, at, "it moved before a rest");
         self.rest(3);
         assert_eq!(self.permission(), Permission::Granted);
-        self.hold(Gesture::Ulnar, &SIDEWAYS, 6);
+        self.hold(Gesture::ULNAR, &SIDEWAYS, 6);
         assert!(self.speed() > 50.0);
     }
 }

@@ -10,10 +10,10 @@ fn an_arm_left_in_good_order_goes_to_its_start_position_and_waits_for_a_rest() {
     assert_eq!((rig.phase(), rig.permission()), (ArmPhase::Following, Permission::AwaitRest));
     assert!(rig.controller.is_in_good_order());
     assert!((rig.arm.0.borrow().joints_rad - ArmSettings::default().start_joints_rad()).amax() < 0.003);
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 10);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 10);
     assert_eq!(rig.speed(), 0.0);
     rig.rest(3);
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 6);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 6);
     assert!(rig.speed() > 97.0);
     assert_eq!(rig.state().start_distance_mm, 0.0);
 }
@@ -131,7 +131,7 @@ fn an_arm_that_stands_outside_the_box_is_driven_back_by_its_user_alone() {
     rig.assert_stopped(StopReason::OutsideBox);
     assert_eq!(rig.arm(), ArmAnswer::Armed, "it does not go anywhere by itself");
     rig.rest(3);
-    rig.hold(Gesture::Radial, &SIDEWAYS.map(|component| -component), 10);
+    rig.hold(Gesture::RADIAL, &SIDEWAYS.map(|component| -component), 10);
     assert!(rig.arm.0.borrow().position_mm()[1] < 40.0);
 }
 

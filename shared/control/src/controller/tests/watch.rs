@@ -15,7 +15,7 @@ fn a_supervisor_that_hangs_stops_the_arm_in_every_phase() {
 
     let mut rig = Rig::moving();
     rig.supervisor_lives = false;
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 4);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 4);
     assert_eq!((rig.permission(), rig.reason()), (Permission::AwaitRest, Some(StopReason::SupervisorSilent)));
     assert_eq!(rig.speed(), 0.0);
     rig.rest(5);
@@ -35,14 +35,14 @@ fn a_supervisor_that_hangs_stops_the_arm_in_every_phase() {
 fn an_arm_that_gives_no_sign_of_life_for_300_ms_is_brought_to_rest() {
     let mut rig = Rig::moving();
     rig.arm.0.borrow_mut().report.silent_ns = 301 * MS;
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 2);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 2);
     assert_eq!((rig.permission(), rig.reason()), (Permission::AwaitRest, Some(StopReason::ArmSilent)));
     assert_eq!(rig.speed(), 0.0);
     rig.arm.0.borrow_mut().report.silent_ns = 0;
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 3);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 3);
     assert_eq!(rig.speed(), 0.0);
     rig.rest(3);
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 6);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 6);
     assert!(rig.speed() > 97.0);
 
     let mut rig = Rig::on_the_way();
@@ -56,7 +56,7 @@ fn a_controller_that_stood_still_does_not_go_on_where_it_was() {
     rig.now_ns += 300 * MS;
     rig.pass(4);
     assert_eq!((rig.permission(), rig.reason()), (Permission::AwaitRest, Some(StopReason::RobotStalled)));
-    rig.hold(Gesture::Ulnar, &SIDEWAYS, 4);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 4);
     assert_eq!(rig.speed(), 0.0);
     rig.rest(3);
     assert_eq!(rig.permission(), Permission::Granted);
@@ -77,13 +77,13 @@ fn the_workspace_box_holds_while_following_and_the_arm_can_be_driven_back() {
     // Too slow to look like an arm that does not follow.
     rig.arm.0.borrow_mut().runaway.linear_mm_per_s = [0.0, 0.0, 15.0];
     while rig.permission() != Permission::Stopped {
-        rig.hold(Gesture::Ulnar, &SIDEWAYS, 1);
+        rig.hold(Gesture::ULNAR, &SIDEWAYS, 1);
     }
     rig.arm.0.borrow_mut().runaway = Twist::ZERO;
     rig.assert_stopped(StopReason::WorkspaceBox);
     assert_eq!(rig.arm(), ArmAnswer::Armed);
     rig.rest(3);
-    rig.hold(Gesture::Ulnar, &UP.map(|component| -component), 6);
+    rig.hold(Gesture::ULNAR, &UP.map(|component| -component), 6);
     assert!(rig.speed() > 50.0 && rig.arm.0.borrow().position_mm()[2] < 370.0);
 }
 
@@ -118,12 +118,12 @@ fn an_arm_that_does_not_move_as_it_is_told_is_stopped_before_it_is_far() {
         [([0.0, 0.0, 80.0], 2, 25.0), ([80.0, 0.0, 0.0], 0, 25.0), ([0.0, -100.0, 0.0], 1, 10.0)]
     {
         let mut rig = Rig::moving();
-        rig.hold(Gesture::Ulnar, &SIDEWAYS, 4);
+        rig.hold(Gesture::ULNAR, &SIDEWAYS, 4);
         let from_mm = rig.arm.0.borrow().position_mm();
         let begun_ns = rig.now_ns;
         rig.arm.0.borrow_mut().runaway.linear_mm_per_s = runaway;
         while rig.permission() != Permission::Stopped {
-            rig.hold(Gesture::Ulnar, &SIDEWAYS, 1);
+            rig.hold(Gesture::ULNAR, &SIDEWAYS, 1);
             assert!(rig.now_ns - begun_ns < 700 * MS, "{runaway:?}");
         }
         let off_mm = (rig.arm.0.borrow().position_mm()[axis] - from_mm[axis]).abs();
