@@ -89,7 +89,7 @@ pub struct Recogniser(Kind);
 #[derive(Debug)]
 enum Kind {
     Networks(Networks),
-    Person(OfPerson),
+    Person(Box<OfPerson>),
 }
 
 /// The model of a strategy, or the two of the two-stage strategy.
@@ -164,7 +164,8 @@ impl Recogniser {
         }
         let recogniser = PersonalRecogniser::new(&person, windows.increment_samples)
             .map_err(|error| unfit(error.to_string()))?;
-        Ok(Recogniser(Kind::Person(OfPerson { path: path.to_owned(), person, recogniser })))
+        let of_person = OfPerson { path: path.to_owned(), person, recogniser };
+        Ok(Recogniser(Kind::Person(Box::new(of_person))))
     }
 
     /// Loads what the strategy of `decision` needs from ONNX Runtime in `library`: `model`, and for the two-stage
@@ -240,7 +241,8 @@ impl Recogniser {
                 gestures.check_fit(source)?;
                 rest_move.as_ref().map_or(Ok(()), |rest_move| rest_move.classifier.check_fit(source))
             }
-            Kind::Person(OfPerson { path, person, .. }) => {
+            Kind::Person(of_person) => {
+                let OfPerson { path, person, .. } = &**of_person;
                 let differences = person.differences(&SignalOffer {
                     source: source.name,
                     channels: source.channels,
@@ -290,7 +292,7 @@ impl Recogniser {
     ) -> Result<Recognition<'_>, ClassifierError> {
         match &mut self.0 {
             Kind::Networks(networks) => networks.recognise(window),
-            Kind::Person(OfPerson { recogniser, .. }) => Ok(recogniser.recognise(window, first_sample)?),
+            Kind::Person(of_person) => Ok(of_person.recogniser.recognise(window, first_sample)?),
         }
     }
 
@@ -302,7 +304,7 @@ impl Recogniser {
     pub fn rehearse(&mut self, window: &[f32]) -> Result<(), ClassifierError> {
         match &mut self.0 {
             Kind::Networks(networks) => networks.rehearse(window),
-            Kind::Person(OfPerson { recogniser, .. }) => Ok(recogniser.recognise_alone(window).map(drop)?),
+            Kind::Person(of_person) => Ok(of_person.recogniser.recognise_alone(window).map(drop)?),
         }
     }
 }
