@@ -88,7 +88,7 @@ pub struct Recogniser(Kind);
 
 #[derive(Debug)]
 enum Kind {
-    Networks(Networks),
+    Networks(Box<Networks>),
     Person(Box<OfPerson>),
 }
 
@@ -227,7 +227,8 @@ impl Recogniser {
             rest_move = Some(RestMove { classifier, rest });
         }
         let (probabilities, efforts) = (vec![0.0; session.len()], vec![1.0; session.len()]);
-        Ok(Recogniser(Kind::Networks(Networks { gestures, places, rest_move, probabilities, efforts })))
+        let networks = Networks { gestures, places, rest_move, probabilities, efforts };
+        Ok(Recogniser(Kind::Networks(Box::new(networks))))
     }
 
     /// Checks that each model, or the person, fits the source of the windows.
@@ -237,7 +238,8 @@ impl Recogniser {
     /// [`ClassifierError::Unfit`] or [`ClassifierError::UnfitPerson`], with everything that differs.
     pub fn check_fit(&self, source: &WindowSource<'_>) -> Result<(), ClassifierError> {
         match &self.0 {
-            Kind::Networks(Networks { gestures, rest_move, .. }) => {
+            Kind::Networks(networks) => {
+                let Networks { gestures, rest_move, .. } = &**networks;
                 gestures.check_fit(source)?;
                 rest_move.as_ref().map_or(Ok(()), |rest_move| rest_move.classifier.check_fit(source))
             }
@@ -272,7 +274,7 @@ impl Recogniser {
     /// Whom each model was trained on, as far as its metadata say. A person is not trained on anybody else.
     pub fn trained_on(&self) -> impl Iterator<Item = &TrainedOn> {
         let networks = match &self.0 {
-            Kind::Networks(networks) => Some(networks),
+            Kind::Networks(networks) => Some(&**networks),
             Kind::Person(_) => None,
         };
         networks.into_iter().flat_map(Networks::classifiers).map(|model| &model.contract().trained_on)
