@@ -50,8 +50,13 @@ fn main() -> ExitCode {
         }
         let gestures = config.decision.gestures.len();
         let delivery = config.delivery();
-        let predictions =
-            Publisher::open(&process.session, &PREDICTIONS, gestures, delivery, process.control.stop_flag())?;
+        let predictions = Publisher::open(
+            &process.session,
+            &PREDICTIONS,
+            2 * gestures,
+            delivery,
+            process.control.stop_flag(),
+        )?;
         let windows = Subscriber::open(&process.session, &WINDOWS, Some(Stage::Inference), delivery)?;
         let rehearsal = matches!(process.scheduling.policy, Policy::Fifo(_)).then(|| {
             let increment_samples = process.config.dsp.windows.increment_samples as f64;
@@ -113,10 +118,12 @@ impl Consumer<WindowHeader, f32> for Inference {
             rehearsal.next_window_ns = Some(trace.captured_ns + rehearsal.increment_ns);
         }
         let probabilities = self.recogniser.recognise(window.payload())?;
-        let prediction = PredictionHeader { trace, context: header.context };
-        let published_ns = self
-            .predictions
-            .publish(prediction, probabilities.len(), |payload| payload.copy_from_slice(probabilities))?;
+        let prediction = PredictionHeader { trace, context: header.context, novelty: 0.0 };
+        let published_ns = self.predictions.publish(prediction, 2 * probabilities.len(), |payload| {
+            let (of_probabilities, of_efforts) = payload.split_at_mut(probabilities.len());
+            of_probabilities.copy_from_slice(probabilities);
+            of_efforts.fill(1.0);
+        })?;
         process.measurements.counts.published = self.predictions.published();
         Ok(process.measure(&trace, Some(published_ns)))
     }

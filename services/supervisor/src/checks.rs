@@ -24,7 +24,7 @@ use crate::provenance;
 pub fn shared_memory(config: &Config) -> anyhow::Result<(u64, u64)> {
     let needed = required_bytes(&BLOCKS, config.block_length())
         + required_bytes(&WINDOWS, config.window_length())
-        + required_bytes(&PREDICTIONS, config.decision.gestures.len())
+        + required_bytes(&PREDICTIONS, 2 * config.decision.gestures.len())
         + required_bytes(&COMMANDS, TWIST_LENGTH)
         + required_bytes(&STATES, STATE_LENGTH)
         + Stage::ALL.len() as u64 * required_bytes(&MEASUREMENTS, BATCH_LENGTH);

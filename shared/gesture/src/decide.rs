@@ -161,7 +161,7 @@ impl Decider {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::{any, prop, prop_assert, proptest};
+    use proptest::prelude::{any, prop, prop_assert, prop_assert_eq, proptest};
 
     const INCREMENT_NS: u64 = 75_000_000;
 
@@ -289,7 +289,81 @@ mod tests {
         prop::collection::vec((prop::sample::select(Gesture::PAPER.to_vec()), any::<bool>()), 1..200)
     }
 
+    /// A gesture held for so many windows, then another.
+    fn held(decider: &mut Decider, row: &[(Gesture, usize)]) -> Vec<Decision> {
+        let windows: Vec<(Gesture, bool)> =
+            row.iter().flat_map(|(gesture, count)| std::iter::repeat_n((*gesture, true), *count)).collect();
+        decide_all(decider, &windows)
+    }
+
+    fn settings(modes: &str) -> DecisionSettings {
+        #[derive(serde::Deserialize)]
+        struct File {
+            modes: Vec<crate::Mode>,
+        }
+        let File { modes } = toml::from_str(modes).unwrap();
+        DecisionSettings { strategy: Strategy::Direct, modes, ..DecisionSettings::default() }
+    }
+
+    const TWO_MODES: &str = "[[modes]]\nname = \"a\"\nextension = \"+z\"\ngrip = \"gripper\"\nradial = \"next_mode\"\n\
+                             [[modes]]\nname = \"b\"\nextension = \"-pitch\"\nradial = \"+x\"\nulnar = \"next_mode\"\ngrip = \"gripper\"\n\
+                             flexion = { motion = \"+z\", frame = \"tool\", speed_mm_per_s = 20.0 }\n";
+
+    #[test]
+    fn a_gesture_changes_the_mode_once_and_moves_nothing_before_it_was_let_go() {
+        let mut decider = Decider::new(&settings(TWO_MODES)).unwrap();
+        let decisions = held(&mut decider, &[(Gesture::EXTENSION, 3), (Gesture::RADIAL, 20)]);
+        assert_eq!(decisions[2].twist, [0.0, 0.0, 50.0, 0.0, 0.0, 0.0]);
+        assert_eq!(decisions.iter().map(|decision| decision.mode).max(), Some(1));
+        assert!(decisions[6..].iter().all(|decision| decision.twist == [0.0; 6] && decision.mode == 1));
+        let decisions =
+            held(&mut decider, &[(Gesture::REST, 2), (Gesture::RADIAL, 2), (Gesture::EXTENSION, 2)]);
+        assert_eq!(decisions[3].twist, [50.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(decisions[5].twist[4], -20_f64.to_radians());
+        let decisions = held(&mut decider, &[(Gesture::FLEXION, 3), (Gesture::ULNAR, 4)]);
+        assert_eq!((decisions[2].twist[2], decisions[2].frame), (20.0, Frame::Tool));
+        assert_eq!(decisions[6].mode, 0, "after the last mode comes the first");
+    }
+
+    #[test]
+    fn a_long_grip_changes_the_mode_and_a_short_one_moves_the_gripper_when_it_ends() {
+        let settings = DecisionSettings { long_grip_s: Some(1.0), ..settings(TWO_MODES) };
+        let mut decider = Decider::new(&settings).unwrap();
+        let short = held(&mut decider, &[(Gesture::GRIP, 10), (Gesture::REST, 3)]);
+        assert_eq!(toggles(&short), [10]);
+        decider.restart();
+        let long = held(&mut decider, &[(Gesture::GRIP, 40), (Gesture::REST, 3)]);
+        assert!(toggles(&long).is_empty());
+        // 1 s are 13.3 increments.
+        assert_eq!(long.iter().position(|decision| decision.mode == 1), Some(14));
+        assert_eq!(long[42].mode, 1);
+    }
+
+    #[test]
+    fn windows_that_are_missing_end_no_grip() {
+        let settings = DecisionSettings { long_grip_s: Some(1.0), ..settings(TWO_MODES) };
+        let mut decider = Decider::new(&settings).unwrap();
+        held(&mut decider, &[(Gesture::GRIP, 10)]);
+        decider.restart();
+        assert!(toggles(&held(&mut decider, &[(Gesture::REST, 3)])).is_empty());
+    }
+
     proptest! {
+        #[test]
+        fn the_harder_the_contraction_the_faster_and_never_faster_than_set(
+            weak in -0.5_f64..1.5,
+            strong in -0.5_f64..1.5,
+            dead_zone in 0.0..0.9_f64,
+        ) {
+            let settings = DecisionSettings { effort_dead_zone: dead_zone, ..DecisionSettings::default() };
+            let decider = Decider::new(&settings).unwrap();
+            let (slow, fast) = (decider.speed_share(weak.min(strong)), decider.speed_share(weak.max(strong)));
+            prop_assert!((0.0..=1.0).contains(&slow) && slow <= fast && fast <= 1.0);
+            prop_assert!(weak > dead_zone || decider.speed_share(weak) == 0.0);
+            prop_assert_eq!(decider.speed_share(1.0), 1.0);
+            prop_assert_eq!(decider.speed_share(f64::NAN), 0.0);
+        }
+
         #[test]
         fn the_arm_moves_only_with_two_of_three_windows_and_never_faster_than_set(windows in gestures()) {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();

@@ -65,6 +65,8 @@ pub struct Pipeline {
     decider: Decider,
     /// Room for a window, `[channels × samples]`.
     samples: Vec<f32>,
+    /// By class number.
+    efforts: Vec<f32>,
 }
 
 impl Pipeline {
@@ -82,7 +84,8 @@ impl Pipeline {
         ))?;
         let chain = SignalChain::new(signal, channels, sample_rate_hz)?;
         let samples = vec![0.0; chain.window_len()];
-        Ok(Pipeline { chain, decider: Decider::new(decision)?, recogniser, samples, settings })
+        let efforts = vec![1.0; decision.gestures.len()];
+        Ok(Pipeline { chain, decider: Decider::new(decision)?, recogniser, samples, efforts, settings })
     }
 
     /// Its settings.
@@ -114,13 +117,14 @@ impl Pipeline {
     /// # Panics
     /// When the block is empty or not a whole number of samples for every channel.
     pub fn push(&mut self, block: &[f32], mut on_step: impl FnMut(Step<'_>)) -> Result<(), PipelineError> {
-        let Pipeline { settings, chain, recogniser, decider, samples } = self;
+        let Pipeline { settings, chain, recogniser, decider, samples, efforts } = self;
         let mut began = Instant::now();
         chain.push_block(block, |chain, window, _| {
             chain.write_window(samples);
             let probabilities = recogniser.recognise(samples)?;
             let decision = decider.decide(&Evidence {
                 probabilities,
+                efforts,
                 moving: window.activity == Activity::Move,
                 intact: window.replaced_samples == 0,
                 captured_ns: (window.first_sample as f64 * 1e9 / settings.sample_rate_hz) as u64,
