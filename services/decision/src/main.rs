@@ -78,6 +78,7 @@ impl Consumer<PredictionHeader, f32> for Decision {
         let outcome = self.decider.decide(&Evidence {
             probabilities,
             efforts,
+            novelty: prediction.header().novelty,
             moving: Activity::from_number(context.activity) == Activity::Move,
             intact: context.replaced_samples == 0,
             captured_ns: sample_time_ns(process, context.first_sample),

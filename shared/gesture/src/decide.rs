@@ -20,6 +20,8 @@ pub struct Evidence<'a> {
     pub probabilities: &'a [f32],
     /// How hard the contraction is if it is that gesture, by class number: 0 at rest, 1 at a comfortable contraction or above.
     pub efforts: &'a [f32],
+    /// How unlike all gestures of the calibration the window is: above 1, it is none of them. 0 from a model that does not tell.
+    pub novelty: f32,
     /// The activity detector says that the muscles are active.
     pub moving: bool,
     /// The window is intact: none of its samples had to be replaced.
@@ -119,7 +121,7 @@ impl Decider {
         let first_candidate = match self.settings.strategy {
             Strategy::Threshold if !evidence.moving => return (Gesture::REST, 1.0),
             Strategy::Threshold => 1,
-            Strategy::TwoStage | Strategy::Direct => 0,
+            Strategy::TwoStage | Strategy::Direct | Strategy::Personal => 0,
         };
         self.settings
             .gestures
@@ -176,6 +178,7 @@ mod tests {
             decider.decide(&Evidence {
                 probabilities: &certain(*gesture),
                 efforts: &[1.0; 6],
+                novelty: 0.0,
                 moving: *moving,
                 intact: true,
                 captured_ns: index as u64 * INCREMENT_NS,
@@ -222,6 +225,7 @@ mod tests {
         let evidence = Evidence {
             probabilities: &grip,
             efforts: &[1.0; 6],
+            novelty: 0.0,
             moving: true,
             intact: true,
             captured_ns: later,
@@ -269,6 +273,7 @@ mod tests {
                 let evidence = Evidence {
                     probabilities: &probabilities,
                     efforts: &[1.0; 6],
+                    novelty: 0.0,
                     moving: true,
                     intact,
                     captured_ns: 0,

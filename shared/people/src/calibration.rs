@@ -4,21 +4,17 @@ use std::collections::BTreeSet;
 
 use tendon_features::{FeatureError, FitError, PriorError};
 
-use crate::REST;
-use crate::person::SignalFit;
+use tendon_gesture::{Gesture, GestureSet, InvalidGestureSet};
 
-/// Most gestures besides rest.
-const MOST_GESTURES: usize = 12;
-/// Longest name of a gesture, in bytes.
-const LONGEST_GESTURE: usize = 23;
+use crate::person::SignalFit;
 
 /// Windows of a person with what was made in them, in the order in which they were recorded.
 #[derive(Clone, Copy, Debug)]
 pub struct Calibration<'a> {
     /// Where the windows come from.
     pub signal: &'a SignalFit,
-    /// Names of the gestures, rest among them.
-    pub gestures: &'a [String],
+    /// The gestures, rest among them.
+    pub gestures: &'a [Gesture],
     /// Windows x channels x samples, filtered, in the unit of the source.
     pub samples: &'a [f32],
     /// Of each window, its gesture: a place in `gestures`.
@@ -36,15 +32,9 @@ pub enum CalibrationError {
     /// There are no windows of rest.
     #[error("there is no rest in the calibration: record the arm at rest, too")]
     NoRest,
-    /// Too few gestures or too many.
-    #[error("{0} gestures besides rest: calibrate 1 to {MOST_GESTURES}")]
-    GestureCount(usize),
-    /// A name that no gesture can have.
-    #[error("`{0}` is no name for a gesture: use 1 to {LONGEST_GESTURE} of the characters a-z 0-9 - _")]
-    GestureName(String),
-    /// Two gestures of one name.
-    #[error("the gesture `{0}` is named twice: give each a name of its own")]
-    GestureTwice(String),
+    /// The gestures are too few, too many, or one is there twice.
+    #[error("{0}: choose other gestures to calibrate")]
+    Gestures(InvalidGestureSet),
     /// Samples, labels and repetitions do not belong together.
     #[error(
         "{samples} samples, {labels} labels and {repetitions} repetitions do not fit windows of {channels} channels x \
@@ -94,23 +84,14 @@ impl<'a> Calibration<'a> {
         self.windows().zip(self.labels).filter(move |(_, own)| **own == label).map(|(window, _)| window)
     }
 
-    /// Checks all but the number of windows. Returns the place of rest.
-    pub(crate) fn check(&self) -> Result<usize, CalibrationError> {
+    /// Checks all but the number of windows. Returns the gestures with rest first.
+    pub(crate) fn check(&self) -> Result<GestureSet, CalibrationError> {
         let Calibration { signal, gestures, samples, labels, repetitions, .. } = *self;
-        for (place, gesture) in gestures.iter().enumerate() {
-            let is_known =
-                |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || b"-_".contains(&byte);
-            if !(1..=LONGEST_GESTURE).contains(&gesture.len()) || !gesture.bytes().all(is_known) {
-                return Err(CalibrationError::GestureName(gesture.clone()));
-            }
-            if gestures[..place].contains(gesture) {
-                return Err(CalibrationError::GestureTwice(gesture.clone()));
-            }
-        }
-        let rest = gestures.iter().position(|gesture| gesture == REST).ok_or(CalibrationError::NoRest)?;
-        if !(1..=MOST_GESTURES).contains(&(gestures.len() - 1)) {
-            return Err(CalibrationError::GestureCount(gestures.len() - 1));
-        }
+        let rest = gestures.iter().position(|gesture| *gesture == Gesture::REST);
+        let rest = rest.ok_or(CalibrationError::NoRest)?;
+        let others = gestures.iter().enumerate().filter(|(place, _)| *place != rest);
+        let set = std::iter::once(Gesture::REST).chain(others.map(|(_, gesture)| *gesture)).collect();
+        let set = GestureSet::new(set).map_err(CalibrationError::Gestures)?;
         let length = signal.window_length();
         if length == 0 || samples.len() != labels.len() * length || repetitions.len() != labels.len() {
             return Err(CalibrationError::Shape {
@@ -125,7 +106,7 @@ impl<'a> Calibration<'a> {
         {
             return Err(CalibrationError::Label { window, label, gestures: gestures.len() });
         }
-        if labels.contains(&rest) { Ok(rest) } else { Err(CalibrationError::NoRest) }
+        if labels.contains(&rest) { Ok(set) } else { Err(CalibrationError::NoRest) }
     }
 
     /// How often each gesture was made.

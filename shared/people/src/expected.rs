@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 use tendon_features::{Class, CrossValidation, FitError, MethodSettings, Prior, Training};
+use tendon_gesture::Gesture;
 
 use crate::calibration::Calibration;
 
@@ -119,8 +120,8 @@ fn parts(calibration: &Calibration, training: &Training) -> (Vec<usize>, Vec<usi
 }
 
 /// The classes of a person's discriminant: all count the same.
-pub(crate) fn classes(gestures: &[String]) -> Vec<Class> {
-    gestures.iter().map(|name| Class { name: name.clone(), weight: 1.0 }).collect()
+pub(crate) fn classes(gestures: &[Gesture]) -> Vec<Class> {
+    gestures.iter().map(|gesture| Class { name: gesture.name().to_owned(), weight: 1.0 }).collect()
 }
 
 #[cfg(test)]

@@ -4,7 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::REST;
+use tendon_gesture::Gesture;
+
 use crate::calibration::Calibration;
 use crate::effort::{quantile, rms};
 use crate::expected::Expected;
@@ -32,7 +33,7 @@ pub enum Finding {
     /// A gesture looks like rest.
     NotMade {
         /// The gesture.
-        gesture: String,
+        gesture: Gesture,
     },
     /// A channel has no signal.
     Flat {
@@ -48,7 +49,7 @@ pub enum Finding {
         /// Its name.
         name: String,
         /// The gesture in which it was first without signal.
-        gesture: String,
+        gesture: Gesture,
         /// The repetition.
         repetition: u32,
     },
@@ -84,9 +85,9 @@ pub enum Finding {
     /// Two gestures are taken for each other.
     Alike {
         /// One of them.
-        first: String,
+        first: Gesture,
         /// The other.
-        second: String,
+        second: Gesture,
         /// Share of their windows, percent.
         percent: f64,
     },
@@ -130,7 +131,7 @@ impl fmt::Display for Finding {
                 "channel {channel} (`{name}`) is hardly stronger in the gestures than at rest \
                  ({signal_to_noise_db:.1} dB): press its electrode on, or place it over a muscle"
             ),
-            Finding::Alike { first, second, percent } if first == REST => write!(
+            Finding::Alike { first, second, percent } if *first == Gesture::REST => write!(
                 out,
                 "{second} looks like rest in {percent:.0} % of the time: make it a little firmer, and keep still at rest"
             ),
@@ -145,7 +146,7 @@ impl fmt::Display for Finding {
 /// Everything that the calibration shows to be wrong, the most serious first. Rest is gesture 0.
 pub(crate) fn findings(
     calibration: &Calibration,
-    gestures: &[String],
+    gestures: &[Gesture],
     channels: &[ChannelQuality],
     expected: &Expected,
 ) -> Vec<Finding> {
@@ -153,7 +154,7 @@ pub(crate) fn findings(
     for (label, gesture) in gestures.iter().enumerate().skip(1) {
         let like_rest = 0.5 * (expected.taken_for(label, 0) + expected.taken_for(0, label));
         if like_rest > NOT_MADE_SHARE || strongest_channel(calibration, label, channels) < NOT_MADE_RATIO {
-            findings.push(Finding::NotMade { gesture: gesture.clone() });
+            findings.push(Finding::NotMade { gesture: *gesture });
         }
     }
     let mut rests: Vec<f64> = channels.iter().map(|channel| channel.rest_rms).collect();
@@ -169,7 +170,7 @@ pub(crate) fn findings(
                 .any(|finding| matches!(finding, Finding::NotMade { gesture } if *gesture == gestures[label]))
         };
         if !(first == 0 && not_made(second)) {
-            let [first, second] = [first, second].map(|label| gestures[label].clone());
+            let [first, second] = [first, second].map(|label| gestures[label]);
             findings.push(Finding::Alike { first, second, percent: 100.0 * share });
         }
     }
@@ -191,7 +192,7 @@ fn strongest_channel(calibration: &Calibration, label: usize, channels: &[Channe
 /// The worst that is wrong with a channel.
 fn of_channel(
     calibration: &Calibration,
-    gestures: &[String],
+    gestures: &[Gesture],
     channel: usize,
     quality: &ChannelQuality,
     median_rest_rms: f64,
@@ -201,7 +202,7 @@ fn of_channel(
         return Some(Finding::Flat { channel, name });
     }
     if let Some((gesture, repetition)) = fell_off(calibration, channel, quality.rest_rms) {
-        return Some(Finding::FellOff { channel, name, gesture: gestures[gesture].clone(), repetition });
+        return Some(Finding::FellOff { channel, name, gesture: gestures[gesture], repetition });
     }
     if quality.clipped_share > CLIPPED_SHARE {
         return Some(Finding::Clipped { channel, name, percent: 100.0 * quality.clipped_share });

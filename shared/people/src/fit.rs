@@ -1,6 +1,7 @@
 //! From windows of known gestures to a person.
 
 use tendon_features::{Discriminant, LaggedLogCovariance, MethodSettings, Prior, Training, rest_floor};
+use tendon_gesture::Gesture;
 
 use crate::calibration::{Calibration, CalibrationError};
 use crate::effort::{EffortRange, level};
@@ -28,13 +29,11 @@ impl Person {
         method: &MethodSettings,
         prior: Option<&Prior>,
     ) -> Result<Person, CalibrationError> {
-        let rest = calibration.check()?;
-        // Rest becomes gesture 0; the others keep their order.
-        let order: Vec<usize> = std::iter::once(rest)
-            .chain((0..calibration.gestures.len()).filter(|&label| label != rest))
-            .collect();
-        let gestures: Vec<String> = order.iter().map(|&label| calibration.gestures[label].clone()).collect();
-        let place = |label: &usize| order.iter().position(|own| own == label).unwrap_or(0);
+        let gestures: Vec<Gesture> = calibration.check()?.into();
+        let place = |label: &usize| {
+            let gesture = calibration.gestures[*label];
+            gestures.iter().position(|own| *own == gesture).expect("the set holds all gestures")
+        };
         let labels: Vec<usize> = calibration.labels.iter().map(place).collect();
         let calibration = &Calibration { gestures: &gestures, labels: &labels, ..*calibration };
 
@@ -88,8 +87,8 @@ fn assemble(
         calibration.windows_of(label).map(|window| level(window, &rest_rms)).collect()
     };
     let rest_levels = levels(0);
-    let gesture = |(label, name): (usize, &String)| GestureFit {
-        name: name.clone(),
+    let gesture = |(label, name): (usize, &Gesture)| GestureFit {
+        name: *name,
         repetitions: calibration.repetitions_of(label).len(),
         windows: labels.iter().filter(|own| **own == label).count(),
         effort: EffortRange::of(&rest_levels, &levels(label)),

@@ -32,6 +32,3 @@ pub use person::{Fitted, GestureFit, Made, Person, SignalFit};
 pub use quality::{ChannelQuality, ClippingWatch};
 pub use recogniser::{Difference, PersonalRecogniser, RecogniseError, Recognition, SignalOffer};
 pub use store::{People, PeopleError};
-
-/// The gesture in which nothing moves. Every person has it.
-pub const REST: &str = "rest";

@@ -2,14 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 use tendon_features::{Discriminant, LaggedLogCovariance, MethodSettings};
+use tendon_gesture::{Gesture, GestureSet};
 use tendon_signal::FilterSettings;
 
 use crate::effort::EffortRange;
 use crate::expected::Expected;
+use crate::file::PersonProblem;
 use crate::finding::Finding;
 use crate::name::PersonName;
 use crate::quality::ChannelQuality;
-use crate::{REST, file::PersonProblem};
 
 /// Most values of a window, all channels together: a second of 256 channels at 10 kHz.
 const MOST_VALUES: usize = 2_560_000;
@@ -91,7 +92,7 @@ impl SignalFit {
 #[serde(deny_unknown_fields)]
 pub struct GestureFit {
     /// Its name.
-    pub name: String,
+    pub name: Gesture,
     /// How often it was made.
     pub repetitions: usize,
     /// Windows of it.
@@ -119,9 +120,10 @@ impl Person {
         LaggedLogCovariance::new(&self.method, channels.len(), *sample_rate_hz, self.fitted.floor_variance)
     }
 
-    /// Names of the gestures, rest first.
-    pub fn gesture_names(&self) -> impl Iterator<Item = &str> {
-        self.gestures.iter().map(|gesture| gesture.name.as_str())
+    /// The gestures, by class number.
+    pub fn gesture_set(&self) -> GestureSet {
+        let gestures = self.gestures.iter().map(|gesture| gesture.name).collect();
+        GestureSet::new(gestures).expect("a person is checked when it is fitted or read")
     }
 
     /// RMS of every channel at rest.
@@ -148,10 +150,9 @@ impl Person {
         if signal.window_samples < features.shortest_window() || signal.increment_samples == 0 {
             return Err(PersonProblem::Senseless("signal.window_samples or signal.increment_samples"));
         }
-        let names: Vec<&str> = self.gesture_names().collect();
-        let classes: Vec<&str> =
-            fitted.discriminant.classes().iter().map(|class| class.name.as_str()).collect();
-        if names.first() != Some(&REST) || names != classes {
+        let names: Vec<Gesture> = gestures.iter().map(|gesture| gesture.name).collect();
+        let classes = fitted.discriminant.classes().iter().map(|class| class.name.as_str());
+        if !classes.eq(names.iter().map(Gesture::name)) || GestureSet::new(names).is_err() {
             return Err(PersonProblem::Senseless("the list of gestures"));
         }
         if !gestures.iter().all(|gesture| gesture.effort.is_valid()) {

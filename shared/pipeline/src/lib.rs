@@ -10,7 +10,7 @@
 
 use std::time::Instant;
 
-use tendon_classifier::{ClassifierError, Recogniser, WindowSource};
+use tendon_classifier::{ClassifierError, Recogniser, Recognition, WindowSource};
 use tendon_gesture::{Decider, Decision, DecisionSettings, Evidence, InvalidDecisionSetting};
 use tendon_signal::{Activity, DesignError, SignalChain, SignalSettings, Window};
 
@@ -48,8 +48,8 @@ pub struct Step<'a> {
     pub window: Window,
     /// Its samples, filtered, `[channels × samples]`.
     pub samples: &'a [f32],
-    /// Probability of every gesture of the settings, by class number.
-    pub probabilities: &'a [f32],
+    /// Probability and effort of every gesture of the settings, by class number, and how strange the window is.
+    pub recognition: Recognition<'a>,
     /// What the arm would be told.
     pub decision: Decision,
     /// Time from the window's newest sample being pushed to the decision, ns.
@@ -65,8 +65,6 @@ pub struct Pipeline {
     decider: Decider,
     /// Room for a window, `[channels × samples]`.
     samples: Vec<f32>,
-    /// By class number.
-    efforts: Vec<f32>,
 }
 
 impl Pipeline {
@@ -84,8 +82,7 @@ impl Pipeline {
         ))?;
         let chain = SignalChain::new(signal, channels, sample_rate_hz)?;
         let samples = vec![0.0; chain.window_len()];
-        let efforts = vec![1.0; decision.gestures.len()];
-        Ok(Pipeline { chain, decider: Decider::new(decision)?, recogniser, samples, efforts, settings })
+        Ok(Pipeline { chain, decider: Decider::new(decision)?, recogniser, samples, settings })
     }
 
     /// Its settings.
@@ -117,20 +114,21 @@ impl Pipeline {
     /// # Panics
     /// When the block is empty or not a whole number of samples for every channel.
     pub fn push(&mut self, block: &[f32], mut on_step: impl FnMut(Step<'_>)) -> Result<(), PipelineError> {
-        let Pipeline { settings, chain, recogniser, decider, samples, efforts } = self;
+        let Pipeline { settings, chain, recogniser, decider, samples } = self;
         let mut began = Instant::now();
         chain.push_block(block, |chain, window, _| {
             chain.write_window(samples);
-            let probabilities = recogniser.recognise(samples)?;
+            let recognition = recogniser.recognise(samples, window.first_sample)?;
             let decision = decider.decide(&Evidence {
-                probabilities,
-                efforts,
+                probabilities: recognition.probabilities,
+                efforts: recognition.efforts,
+                novelty: recognition.novelty,
                 moving: window.activity == Activity::Move,
                 intact: window.replaced_samples == 0,
                 captured_ns: (window.first_sample as f64 * 1e9 / settings.sample_rate_hz) as u64,
             });
             let work_ns = began.elapsed().as_nanos() as u64;
-            on_step(Step { window, samples, probabilities, decision, work_ns });
+            on_step(Step { window, samples, recognition, decision, work_ns });
             began = Instant::now();
             Ok::<(), ClassifierError>(())
         })?;

@@ -1,6 +1,7 @@
 //! A synthetic person: every gesture has its own amplitude in each channel.
 
 use tendon_features::MethodSettings;
+use tendon_gesture::Gesture;
 use tendon_people::{Calibration, CalibrationError, Made, Person, SignalFit};
 use tendon_signal::FilterSettings;
 
@@ -30,14 +31,14 @@ pub fn signal() -> SignalFit {
 }
 
 /// Gain of each channel in each gesture; rest is not the first on purpose.
-pub fn gestures() -> Vec<(String, [f32; CHANNELS])> {
+pub fn gestures() -> Vec<(Gesture, [f32; CHANNELS])> {
     let gestures = [
         ("fist", [4.0, 4.0, 4.0, 4.0]),
         ("rest", [1.0, 1.0, 1.0, 1.0]),
         ("point", [6.0, 1.5, 1.0, 1.0]),
         ("wave_out", [1.0, 1.0, 2.0, 7.0]),
     ];
-    gestures.map(|(name, gains)| (name.to_owned(), gains)).to_vec()
+    gestures.map(|(name, gains)| (name.parse().expect("a name"), gains)).to_vec()
 }
 
 /// A window, channel-major.
@@ -46,17 +47,17 @@ pub fn window(noise: &mut Noise, gains: &[f32; CHANNELS]) -> Vec<f32> {
 }
 
 pub struct Recorded {
-    pub gestures: Vec<String>,
+    pub gestures: Vec<Gesture>,
     pub samples: Vec<f32>,
     pub labels: Vec<usize>,
     pub repetitions: Vec<u32>,
 }
 
 /// Records 30 windows of each gesture and repetition, each of a strength of its own.
-pub fn record(gestures: &[(String, [f32; CHANNELS])], repetitions: u32, seed: u32) -> Recorded {
+pub fn record(gestures: &[(Gesture, [f32; CHANNELS])], repetitions: u32, seed: u32) -> Recorded {
     let mut noise = Noise(seed);
     let mut recorded = Recorded {
-        gestures: gestures.iter().map(|(name, _)| name.clone()).collect(),
+        gestures: gestures.iter().map(|(name, _)| *name).collect(),
         samples: Vec::new(),
         labels: Vec::new(),
         repetitions: Vec::new(),
