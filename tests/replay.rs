@@ -150,7 +150,10 @@ fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, Vec<f32>)
     let mut windows = HashMap::new();
     while stream.next_block(&mut block).unwrap().is_some() {
         let keep = |step: tendon_pipeline::Step<'_>| {
-            windows.insert(step.window.first_sample, (step.samples.to_vec(), step.probabilities.to_vec()));
+            windows.insert(
+                step.window.first_sample,
+                (step.samples.to_vec(), [step.recognition.probabilities, step.recognition.efforts].concat()),
+            );
         };
         pipeline.push(&block, keep).unwrap();
     }

@@ -146,9 +146,9 @@ fn inference() -> anyhow::Result<Work> {
     let (mut emg, mut performance) = simulated(config.acquisition.channels)?;
     let mut window = vec![0.0; config.window_length()];
     let mut stopwatch = Stopwatch::new();
-    for _ in 0..REPETITIONS / 10 {
+    for number in 0..REPETITIONS as u64 / 10 {
         emg.fill_block(&mut performance, &mut window);
-        stopwatch.time(|| recogniser.recognise(black_box(&window)).map(drop))?;
+        stopwatch.time(|| recogniser.recognise(black_box(&window), number).map(drop))?;
     }
     Ok(stopwatch.work(Stage::Inference, "classify a window", Some(config.acquisition.channels)))
 }

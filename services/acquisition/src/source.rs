@@ -93,8 +93,8 @@ impl BlockMaker for SimulatedPerson {
         Ok(Some(Truth::new(self.gestures.number(truth.gesture), truth.since_sample)))
     }
 
-    fn set_gesture(&mut self, gesture: Gesture) {
-        self.performance.set_gesture(gesture);
+    fn set_gesture(&mut self, gesture: Gesture, effort: f32) {
+        self.performance.set_gesture(gesture, effort);
     }
 }
 

@@ -57,14 +57,15 @@ impl Consumer<PredictionHeader, f32> for Decision {
     ) -> anyhow::Result<Measured> {
         let context = prediction.header().context;
         let trace = prediction.trace();
-        let probabilities = prediction.payload();
+        let payload = prediction.payload();
         ensure!(
-            probabilities.len() == self.gestures.len(),
-            "a prediction of {} probabilities, but the session has {} gestures: start all processes with the same \
+            payload.len() == 2 * self.gestures.len(),
+            "a prediction of {} values, but the session has {} gestures: start all processes with the same \
              configuration",
-            probabilities.len(),
+            payload.len(),
             self.gestures.len()
         );
+        let probabilities = &payload[..self.gestures.len()];
         // Windows are missing, whoever left them out: votes from before say nothing about now.
         let follows = |last: u64| context.first_sample == last + self.increment_samples;
         if self.last_first_sample.is_some_and(|last| !follows(last)) {

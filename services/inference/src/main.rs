@@ -1,4 +1,4 @@
-//! The inference process: windows in, class probabilities out. The model itself is
+//! The inference process: windows in, probabilities and efforts of the gestures out. The model, or the person, is
 //! `tendon_classifier::Recogniser`, which reads the window where it lies in shared memory.
 //!
 //! ```text
@@ -13,7 +13,7 @@
 use std::process::ExitCode;
 
 use anyhow::ensure;
-use tendon_classifier::{Recogniser, WindowSource};
+use tendon_classifier::{Recogniser, RecogniserFiles, Recognition, WindowSource};
 use tendon_messages::{Measured, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
 use tendon_process::{Consumer, Policy, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber, now_ns};
@@ -27,13 +27,13 @@ const REHEARSAL_LEAD_NS: u64 = 850_000;
 fn main() -> ExitCode {
     tendon_process::main(Stage::Inference, |process| {
         let config = &process.config;
-        let library = tendon_classifier::runtime_library(config.inference.runtime_library.as_deref())?;
-        let mut recogniser = Recogniser::load(
-            &library,
-            &config.decision,
-            config.inference.model.as_deref(),
-            config.inference.rest_move_model.as_deref(),
-        )?;
+        let files = RecogniserFiles {
+            runtime_library: config.inference.runtime_library.as_deref(),
+            model: config.inference.model.as_deref(),
+            rest_move_model: config.inference.rest_move_model.as_deref(),
+            person: config.inference.person.as_deref(),
+        };
+        let mut recogniser = Recogniser::open(&config.decision, &config.dsp.windows, &files)?;
         let acquisition = &config.acquisition;
         recogniser.check_fit(&WindowSource::of_chain(
             "the session",
@@ -48,10 +48,10 @@ fn main() -> ExitCode {
             recogniser.rehearse(&silence)?;
             shortest_run_ns = shortest_run_ns.min(now_ns() - start_ns);
         }
-        let gestures = config.decision.gestures.len();
+        let values = 2 * config.decision.gestures.len();
         let delivery = config.delivery();
         let predictions =
-            Publisher::open(&process.session, &PREDICTIONS, gestures, delivery, process.control.stop_flag())?;
+            Publisher::open(&process.session, &PREDICTIONS, values, delivery, process.control.stop_flag())?;
         let windows = Subscriber::open(&process.session, &WINDOWS, Some(Stage::Inference), delivery)?;
         let rehearsal = matches!(process.scheduling.policy, Policy::Fifo(_)).then(|| {
             let increment_samples = process.config.dsp.windows.increment_samples as f64;
@@ -112,11 +112,14 @@ impl Consumer<WindowHeader, f32> for Inference {
         if let Some(rehearsal) = &mut self.rehearsal {
             rehearsal.next_window_ns = Some(trace.captured_ns + rehearsal.increment_ns);
         }
-        let probabilities = self.recogniser.recognise(window.payload())?;
-        let prediction = PredictionHeader { trace, context: header.context };
-        let published_ns = self
-            .predictions
-            .publish(prediction, probabilities.len(), |payload| payload.copy_from_slice(probabilities))?;
+        let Recognition { probabilities, efforts, novelty } =
+            self.recogniser.recognise(window.payload(), header.context.first_sample)?;
+        let prediction = PredictionHeader { trace, context: header.context, novelty };
+        let published_ns = self.predictions.publish(prediction, 2 * probabilities.len(), |payload| {
+            let (first, second) = payload.split_at_mut(probabilities.len());
+            first.copy_from_slice(probabilities);
+            second.copy_from_slice(efforts);
+        })?;
         process.measurements.counts.published = self.predictions.published();
         Ok(process.measure(&trace, Some(published_ns)))
     }

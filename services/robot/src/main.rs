@@ -294,7 +294,7 @@ impl Robot {
                 self.was_stopped = true;
                 self.controller.stage_ended();
             }
-            Order::Start | Order::Gesture(_) => {}
+            Order::Start | Order::Gesture { .. } => {}
         }
         self.answer(process);
         Ok(())

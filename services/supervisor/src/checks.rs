@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use tendon_classifier::{Recogniser, WindowSource};
+use tendon_classifier::{Recogniser, RecogniserFiles, WindowSource};
 use tendon_config::{Config, Gestures, Source};
 use tendon_emg_simulation::Script;
+use tendon_gesture::Strategy;
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, TWIST_LENGTH, WINDOWS,
 };
@@ -24,7 +25,7 @@ use crate::provenance;
 pub fn shared_memory(config: &Config) -> anyhow::Result<(u64, u64)> {
     let needed = required_bytes(&BLOCKS, config.block_length())
         + required_bytes(&WINDOWS, config.window_length())
-        + required_bytes(&PREDICTIONS, config.decision.gestures.len())
+        + required_bytes(&PREDICTIONS, 2 * config.decision.gestures.len())
         + required_bytes(&COMMANDS, TWIST_LENGTH)
         + required_bytes(&STATES, STATE_LENGTH)
         + Stage::ALL.len() as u64 * required_bytes(&MEASUREMENTS, BATCH_LENGTH);
@@ -66,7 +67,7 @@ pub fn programs() -> anyhow::Result<PathBuf> {
     Ok(folder)
 }
 
-/// Loads the models of this configuration in ONNX Runtime and compares them with the session, as the stage inference does
+/// Loads the models of this configuration in ONNX Runtime, or its person, and compares them with the session, as the stage inference does
 /// when it starts. Says which run.
 ///
 /// # Errors
@@ -75,12 +76,20 @@ pub fn programs() -> anyhow::Result<PathBuf> {
 pub fn models(config: &Config) -> anyhow::Result<String> {
     let Config { acquisition, inference, decision, dsp, .. } = config;
     provenance::models(config)?;
-    let library = tendon_classifier::runtime_library(inference.runtime_library.as_deref())?;
-    let (model, rest_move_model) = (inference.model.as_deref(), inference.rest_move_model.as_deref());
-    let recogniser = Recogniser::load(&library, decision, model, rest_move_model)?;
+    let files = RecogniserFiles {
+        runtime_library: inference.runtime_library.as_deref(),
+        model: inference.model.as_deref(),
+        rest_move_model: inference.rest_move_model.as_deref(),
+        person: inference.person.as_deref(),
+    };
+    let recogniser = Recogniser::open(decision, &dsp.windows, &files)?;
     let (channels, rate_hz) = (acquisition.channels, acquisition.sample_rate_hz);
     recogniser.check_fit(&WindowSource::of_chain("the session", channels, rate_hz, dsp))?;
     let models: Vec<String> = recogniser.models().iter().map(|path| path.display().to_string()).collect();
+    if decision.strategy == Strategy::Personal {
+        return Ok(models.join(", "));
+    }
+    let library = tendon_classifier::runtime_library(files.runtime_library)?;
     Ok(format!("{} in {}", models.join(", "), library.display()))
 }
 

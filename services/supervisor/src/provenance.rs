@@ -1,10 +1,11 @@
 //! Where the results of the `tendon` command come from.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use tendon_classifier::{ModelFiles, TrainedOn, trained_on};
 use tendon_config::{Config, Source};
+use tendon_gesture::Strategy;
 use tendon_provenance::{Program, Provenance};
 use tendon_recordings::{ozdemir, three_dc};
 
@@ -28,17 +29,20 @@ pub fn of_session(config: &Config) -> anyhow::Result<Provenance> {
     let person = recording.first().and_then(|path| person(path));
     let trained_on_person =
         person.and_then(|(data_set, person)| TrainedOn::any_includes(&trained, Some(data_set), &[person]));
-    let provenance = Provenance::begin(PROGRAM).with_configuration(config)?.with_models(models.paths())?;
+    let provenance = Provenance::begin(PROGRAM).with_configuration(config)?.with_models(models)?;
     Ok(Provenance { trained_on_person, ..provenance.with_recording(&recording)? })
 }
 
-/// The models of a session, and whom each was trained on.
+/// The models of a session, and whom each was trained on; or its person, who was trained on nobody else.
 ///
 /// # Errors
 ///
 /// When one is missing or cannot be read.
-pub fn models(config: &Config) -> anyhow::Result<(ModelFiles, Vec<TrainedOn>)> {
+pub fn models(config: &Config) -> anyhow::Result<(Vec<PathBuf>, Vec<TrainedOn>)> {
     let inference = &config.inference;
+    if let (Strategy::Personal, Some(person)) = (config.decision.strategy, &inference.person) {
+        return Ok((vec![person.clone()], Vec::new()));
+    }
     let models = ModelFiles::find(
         config.decision.strategy,
         inference.model.as_deref(),
@@ -50,7 +54,7 @@ pub fn models(config: &Config) -> anyhow::Result<(ModelFiles, Vec<TrainedOn>)> {
             anyhow!("cannot open {}: {error}; check the path and its permissions", model.display())
         })?);
     }
-    Ok((models, trained))
+    Ok((models.paths().map(Path::to_owned).collect(), trained))
 }
 
 /// The data set that a recording is of, and the number of its person there, where the layout tells it.

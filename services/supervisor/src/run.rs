@@ -180,7 +180,7 @@ fn watch_until_the_end(
         let turn = watch.turn(tick.min(left), see).map_err(failure)?;
         observed.map_err(Failure::running)?;
         if let Some(gesture) = task.as_mut().and_then(TaskRun::new_gesture) {
-            watch.order(Stage::Acquisition, Order::Gesture(gesture));
+            watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: 1.0 });
         }
         terminal.errors.show(&line(watch, &config.decision.gestures, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);

@@ -19,7 +19,7 @@ pub fn task(kind: TaskKind, config: &Config, has_simulated_user: bool) -> anyhow
         start_mm: SimulatedArm::new(arm.clone(), 0)?.state().position_mm.into(),
         calibration_s: match config.decision.strategy {
             Strategy::Threshold => config.dsp.activity.calibration_s,
-            Strategy::TwoStage | Strategy::Direct => 0.0,
+            Strategy::TwoStage | Strategy::Direct | Strategy::Personal => 0.0,
         },
         speed_mm_per_s: config.decision.speed_mm_per_s,
         has_simulated_user,

@@ -1,4 +1,4 @@
-//! A trained model in ONNX Runtime, and the contract it carries.
+//! What recognises gestures: trained models in ONNX Runtime with the contract that each carries, or a person.
 //!
 //! ```text
 //! model.onnx ─┬─ graph:    window [1, channels, samples] ─▶ z-score ─▶ network ─▶ softmax ─▶ [1, classes]
@@ -20,11 +20,15 @@ use ort::environment::Environment;
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::{TensorElementType, ValueType};
+use tendon_people::{PersonFileError, RecogniseError};
 
 pub use contract::{Contract, ContractProblem, Mismatch, TrainedOn, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
 pub use metadata::trained_on;
-pub use recogniser::{DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, default_model_file};
+pub use recogniser::{
+    DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, RecogniserFiles, default_model_file,
+};
+pub use tendon_people::Recognition;
 
 use run::{RunError, Runner};
 
@@ -78,6 +82,28 @@ pub enum ClassifierError {
         /// Everything in which it differs, by name.
         differences: String,
     },
+    /// The personal strategy without a person.
+    #[error(
+        "decision.strategy = \"personal\" needs a person: name one with --person NAME or inference.person; `tendon \
+         calibrate` makes one"
+    )]
+    NoPerson,
+    /// The file holds no person that can be used.
+    #[error(transparent)]
+    Person(#[from] PersonFileError),
+    /// The person was calibrated for something else.
+    #[error(
+        "{}: does not fit: {differences}; change the settings, or calibrate again with these", path.display()
+    )]
+    UnfitPerson {
+        /// The person file.
+        path: PathBuf,
+        /// Everything in which it differs, by name.
+        differences: String,
+    },
+    /// A person's recogniser refuses a window.
+    #[error(transparent)]
+    Recognise(#[from] RecogniseError),
     /// A window could not be classified.
     #[error("the model failed on a window: {reason}")]
     Run {

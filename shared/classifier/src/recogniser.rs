@@ -1,17 +1,27 @@
-//! The models of a strategy, as one thing that turns windows into probabilities of gestures.
+//! What recognises gestures, whatever it is made of: the models of a strategy, or a person that was calibrated.
+//!
+//! ```text
+//! threshold, direct   window ─▶ model ─▶ probabilities
+//! two_stage           window ─▶ rest or move? ─ rest ─▶ probability of rest; 0 for all gestures
+//!                                             └ move ─▶ five gestures ─▶ their probabilities; 0 for rest
+//! personal            window ─▶ person ─▶ probabilities, effort, novelty
+//! ```
 
 use std::path::{Path, PathBuf};
 
-use tendon_gesture::{Class, DecisionSettings, Gesture, Strategy};
+use tendon_gesture::{Class, DecisionSettings, Gesture, GestureSet, Strategy};
+use tendon_people::{Person, PersonalRecogniser, Recognition, SignalOffer};
+use tendon_signal::WindowSettings;
 
-use crate::locate::model_beside_program;
+use crate::locate::{model_beside_program, runtime_library};
 use crate::{Classifier, ClassifierError, TrainedOn, WindowSource};
 
-/// File name of the model that comes with Tendon to recognise gestures by `strategy`.
-pub const fn default_model_file(strategy: Strategy) -> &'static str {
+/// File name of the model that comes with Tendon to recognise gestures by `strategy`; `None` for a person.
+pub const fn default_model_file(strategy: Strategy) -> Option<&'static str> {
     match strategy {
-        Strategy::Threshold | Strategy::TwoStage => "cnn-five-gesture.onnx",
-        Strategy::Direct => "cnn-six-class.onnx",
+        Strategy::Threshold | Strategy::TwoStage => Some("cnn-five-gesture.onnx"),
+        Strategy::Direct => Some("cnn-six-class.onnx"),
+        Strategy::Personal => None,
     }
 }
 
@@ -35,7 +45,8 @@ impl ModelFiles {
     ///
     /// # Errors
     ///
-    /// [`ClassifierError::NoModel`] when that one is not there.
+    /// [`ClassifierError::NoModel`] when that one is not there, [`ClassifierError::NoPerson`] for the strategy that has no
+    /// models.
     pub fn find(
         strategy: Strategy,
         model: Option<&Path>,
@@ -44,7 +55,8 @@ impl ModelFiles {
         let find = |model: Option<&Path>, default: &str| {
             model.map_or_else(|| model_beside_program(default), |path| Ok(path.to_owned()))
         };
-        let gestures = find(model, default_model_file(strategy))?;
+        let default = default_model_file(strategy).ok_or(ClassifierError::NoPerson)?;
+        let gestures = find(model, default)?;
         let is_two_stage = strategy == Strategy::TwoStage;
         let rest_move =
             is_two_stage.then(|| find(rest_move_model, DEFAULT_REST_MOVE_MODEL_FILE)).transpose()?;
@@ -57,21 +69,48 @@ impl ModelFiles {
     }
 }
 
-/// The model of a strategy, or the two of the two-stage strategy.
-///
-/// ```text
-/// threshold, direct   window ─▶ model ─▶ probabilities
-/// two_stage           window ─▶ rest or move? ─ rest ─▶ probability of rest; 0 for all gestures
-///                                             └ move ─▶ five gestures ─▶ their probabilities; 0 for rest
-/// ```
+/// The files that a recogniser is made from, as they were named.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RecogniserFiles<'a> {
+    /// ONNX Runtime's shared library.
+    pub runtime_library: Option<&'a Path>,
+    /// The model of the gestures.
+    pub model: Option<&'a Path>,
+    /// The model of rest and move, for the two-stage strategy.
+    pub rest_move_model: Option<&'a Path>,
+    /// The person, for the personal strategy.
+    pub person: Option<&'a Path>,
+}
+
+/// Turns windows into probabilities of gestures.
 #[derive(Debug)]
-pub struct Recogniser {
+pub struct Recogniser(Kind);
+
+#[derive(Debug)]
+enum Kind {
+    Networks(Box<Networks>),
+    Person(Box<OfPerson>),
+}
+
+/// The model of a strategy, or the two of the two-stage strategy.
+#[derive(Debug)]
+struct Networks {
     gestures: Classifier,
     /// For each output of the model of the gestures, where its probability goes.
     places: Vec<usize>,
     rest_move: Option<RestMove>,
     /// By class number.
     probabilities: Vec<f32>,
+    /// A network does not tell how hard a gesture is made: always 1.
+    efforts: Vec<f32>,
+}
+
+/// A person and where they come from.
+#[derive(Debug)]
+struct OfPerson {
+    path: PathBuf,
+    person: Person,
+    recogniser: PersonalRecogniser,
 }
 
 /// The first stage of the two-stage strategy.
@@ -83,6 +122,52 @@ struct RestMove {
 }
 
 impl Recogniser {
+    /// Makes the recogniser of the strategy of `decision`, from the files that were named or the models that come with
+    /// Tendon. Windows follow one another as `windows` says.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError`], naming the file and the remedy.
+    pub fn open(
+        decision: &DecisionSettings,
+        windows: &WindowSettings,
+        files: &RecogniserFiles<'_>,
+    ) -> Result<Recogniser, ClassifierError> {
+        if decision.strategy != Strategy::Personal {
+            let library = runtime_library(files.runtime_library)?;
+            return Recogniser::load(&library, decision, files.model, files.rest_move_model);
+        }
+        let path = files.person.ok_or(ClassifierError::NoPerson)?;
+        Recogniser::of_person(Person::read(path)?, path, &decision.gestures, windows)
+    }
+
+    /// The recogniser of `person`, who was read from the file `path`, in a session with these gestures.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::UnfitPerson`] if the session has other gestures.
+    pub fn of_person(
+        person: Person,
+        path: &Path,
+        session: &GestureSet,
+        windows: &WindowSettings,
+    ) -> Result<Recogniser, ClassifierError> {
+        let unfit = |differences: String| ClassifierError::UnfitPerson { path: path.to_owned(), differences };
+        let own = person.gesture_set();
+        if own != *session {
+            let names = |set: &GestureSet| set.iter().map(String::from).collect::<Vec<_>>().join(", ");
+            return Err(unfit(format!(
+                "gestures: calibrated with {}, decision.gestures has {}",
+                names(&own),
+                names(session)
+            )));
+        }
+        let recogniser = PersonalRecogniser::new(&person, windows.increment_samples)
+            .map_err(|error| unfit(error.to_string()))?;
+        let of_person = OfPerson { path: path.to_owned(), person, recogniser };
+        Ok(Recogniser(Kind::Person(Box::new(of_person))))
+    }
+
     /// Loads what the strategy of `decision` needs from ONNX Runtime in `library`: `model`, and for the two-stage
     /// strategy `rest_move_model`; where a path is left out, the model that comes with Tendon.
     ///
@@ -141,58 +226,76 @@ impl Recogniser {
             };
             rest_move = Some(RestMove { classifier, rest });
         }
-        let probabilities = vec![0.0; session.len()];
-        Ok(Recogniser { gestures, places, rest_move, probabilities })
+        let (probabilities, efforts) = (vec![0.0; session.len()], vec![1.0; session.len()]);
+        let networks = Networks { gestures, places, rest_move, probabilities, efforts };
+        Ok(Recogniser(Kind::Networks(Box::new(networks))))
     }
 
-    /// Checks that each model fits the source of the windows.
+    /// Checks that each model, or the person, fits the source of the windows.
     ///
     /// # Errors
     ///
-    /// [`ClassifierError::Unfit`], with everything that differs.
+    /// [`ClassifierError::Unfit`] or [`ClassifierError::UnfitPerson`], with everything that differs.
     pub fn check_fit(&self, source: &WindowSource<'_>) -> Result<(), ClassifierError> {
-        self.gestures.check_fit(source)?;
-        self.rest_move.as_ref().map_or(Ok(()), |rest_move| rest_move.classifier.check_fit(source))
+        match &self.0 {
+            Kind::Networks(networks) => {
+                let Networks { gestures, rest_move, .. } = &**networks;
+                gestures.check_fit(source)?;
+                rest_move.as_ref().map_or(Ok(()), |rest_move| rest_move.classifier.check_fit(source))
+            }
+            Kind::Person(of_person) => {
+                let OfPerson { path, person, .. } = &**of_person;
+                let differences = person.differences(&SignalOffer {
+                    source: source.name,
+                    channels: source.channels,
+                    channel_names: None,
+                    sample_rate_hz: source.sample_rate_hz,
+                    unit: "",
+                    window_samples: source.window_samples,
+                    filter: source.filter,
+                });
+                if differences.is_empty() {
+                    return Ok(());
+                }
+                let differences: Vec<String> = differences.iter().map(ToString::to_string).collect();
+                Err(ClassifierError::UnfitPerson { path: path.clone(), differences: differences.join("; ") })
+            }
+        }
     }
 
-    /// The files of the models, in the order in which they run.
+    /// The files of the models, in the order in which they run, or that of the person.
     pub fn models(&self) -> Vec<&Path> {
-        let rest_move = self.rest_move.iter().map(|rest_move| rest_move.classifier.path());
-        rest_move.chain([self.gestures.path()]).collect()
+        match &self.0 {
+            Kind::Networks(networks) => networks.classifiers().map(Classifier::path).collect(),
+            Kind::Person(of_person) => vec![&of_person.path],
+        }
     }
 
-    /// Whom each model was trained on, as far as its metadata say.
+    /// Whom each model was trained on, as far as its metadata say. A person is not trained on anybody else.
     pub fn trained_on(&self) -> impl Iterator<Item = &TrainedOn> {
-        let rest_move = self.rest_move.iter().map(|rest_move| &rest_move.classifier);
-        rest_move.chain([&self.gestures]).map(|model| &model.contract().trained_on)
+        let networks = match &self.0 {
+            Kind::Networks(networks) => Some(&**networks),
+            Kind::Person(_) => None,
+        };
+        networks.into_iter().flat_map(Networks::classifiers).map(|model| &model.contract().trained_on)
     }
 
-    /// The probability of every gesture by class number, 0 for those that the model does not know. With two
-    /// stages, the probability of the first if it says rest, otherwise those of the second. The window is
-    /// read in place.
+    /// The probability of every gesture by class number, 0 for those that the model does not know; for a person also how
+    /// hard each gesture would be made (1 from a network), and how unlike the calibration the window is (0 from a
+    /// network). `first_sample` is the window's place in the stream. The window is read in place.
     ///
     /// # Errors
     ///
     /// [`ClassifierError::Run`], as [`Classifier::classify`].
-    pub fn recognise(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
-        self.probabilities.fill(0.0);
-        if let Some(rest_move) = &mut self.rest_move {
-            let outputs = rest_move.classifier.classify(window)?;
-            let (rest, movement) = (outputs[rest_move.rest], outputs[1 - rest_move.rest]);
-            // Rest if both are equal, or if the model returns NaN: an arm that waits does less harm.
-            let moves = movement > rest;
-            if !moves {
-                self.probabilities[REST] = rest;
-                return Ok(&self.probabilities);
-            }
+    pub fn recognise(
+        &mut self,
+        window: &[f32],
+        first_sample: u64,
+    ) -> Result<Recognition<'_>, ClassifierError> {
+        match &mut self.0 {
+            Kind::Networks(networks) => networks.recognise(window),
+            Kind::Person(of_person) => Ok(of_person.recogniser.recognise(window, first_sample)?),
         }
-        for (place, probability) in self.places.iter().zip(self.gestures.classify(window)?) {
-            self.probabilities[*place] = *probability;
-        }
-        if self.rest_move.is_some() {
-            self.probabilities[REST] = 0.0;
-        }
-        Ok(&self.probabilities)
     }
 
     /// Runs every model on `window`, whatever it contains, as a rehearsal needs.
@@ -201,6 +304,43 @@ impl Recogniser {
     ///
     /// [`ClassifierError::Run`], as [`Classifier::classify`].
     pub fn rehearse(&mut self, window: &[f32]) -> Result<(), ClassifierError> {
+        match &mut self.0 {
+            Kind::Networks(networks) => networks.rehearse(window),
+            Kind::Person(of_person) => Ok(of_person.recogniser.recognise_alone(window).map(drop)?),
+        }
+    }
+}
+
+impl Networks {
+    /// In the order in which they run.
+    fn classifiers(&self) -> impl Iterator<Item = &Classifier> {
+        let rest_move = self.rest_move.iter().map(|rest_move| &rest_move.classifier);
+        rest_move.chain([&self.gestures])
+    }
+
+    /// With two stages, the probability of the first if it says rest, otherwise those of the second.
+    fn recognise(&mut self, window: &[f32]) -> Result<Recognition<'_>, ClassifierError> {
+        self.probabilities.fill(0.0);
+        let mut moves = true;
+        if let Some(rest_move) = &mut self.rest_move {
+            let outputs = rest_move.classifier.classify(window)?;
+            let (rest, movement) = (outputs[rest_move.rest], outputs[1 - rest_move.rest]);
+            // Rest if both are equal, or if the model returns NaN: an arm that waits does less harm.
+            moves = movement > rest;
+            self.probabilities[REST] = rest;
+        }
+        if moves {
+            for (place, probability) in self.places.iter().zip(self.gestures.classify(window)?) {
+                self.probabilities[*place] = *probability;
+            }
+            if self.rest_move.is_some() {
+                self.probabilities[REST] = 0.0;
+            }
+        }
+        Ok(Recognition { probabilities: &self.probabilities, efforts: &self.efforts, novelty: 0.0 })
+    }
+
+    fn rehearse(&mut self, window: &[f32]) -> Result<(), ClassifierError> {
         if let Some(rest_move) = &mut self.rest_move {
             rest_move.classifier.classify(window)?;
         }

@@ -71,6 +71,7 @@ impl Config {
             ("acquisition.replay.path", &self.acquisition.replay.path),
             ("inference.model", &self.inference.model),
             ("inference.rest_move_model", &self.inference.rest_move_model),
+            ("inference.person", &self.inference.person),
             ("inference.runtime_library", &self.inference.runtime_library),
         ] {
             if let Some(path) = path.as_ref().filter(|path| path.to_str().is_none()) {

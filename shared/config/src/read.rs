@@ -30,6 +30,7 @@ impl Config {
             &mut self.acquisition.replay.path,
             &mut self.inference.model,
             &mut self.inference.rest_move_model,
+            &mut self.inference.person,
             &mut self.inference.runtime_library,
         ]
         .into_iter()
@@ -150,6 +151,7 @@ mod tests {
         config.acquisition.replay.repetition = Some(0);
         config.inference.model = Some("x".into());
         config.inference.rest_move_model = Some("x".into());
+        config.inference.person = Some("x".into());
         config.inference.runtime_library = Some("x".into());
         config.robot.xarm.address = Some("127.0.0.1".parse().unwrap());
         config

@@ -233,6 +233,8 @@ pub struct InferenceSettings {
     /// The ONNX model of the two-stage strategy's first stage, rest or move; when left out, the one that comes with
     /// Tendon.
     pub rest_move_model: Option<PathBuf>,
+    /// The file of the person, for the strategy `personal`; `tendon calibrate` makes it.
+    pub person: Option<PathBuf>,
     /// ONNX Runtime's shared library; when left out, `ORT_DYLIB_PATH`, then what
     /// `scripts/fetch-onnxruntime` put beside the programs.
     pub runtime_library: Option<PathBuf>,

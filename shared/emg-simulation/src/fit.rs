@@ -324,7 +324,7 @@ mod tests {
         let contraction = ContractionSettings { rise_ms: 0.0, fall_ms: 0.0 };
         let mut performance = Performance::at_rest(emg.gestures(), contraction, simulation.sample_rate_hz);
         let record = |gesture| {
-            performance.set_gesture(gesture);
+            performance.set_gesture(gesture, 1.0);
             let mut samples = vec![0.0; 4 * 120_000];
             emg.fill_block(&mut performance, &mut samples);
             (gesture, samples)

@@ -1,13 +1,13 @@
 //! A performance: which gesture is made when, and how strongly each muscle pattern is present in the signal.
 //!
 //! ```text
-//! commanded   rest │ extension          │ rest
-//! extension        ╱‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾╲
-//! rest        ‾‾‾‾‾╲____________________╱‾‾‾‾‾‾
+//! commanded   rest │ extension  │ at half the effort │ rest
+//! extension        ╱‾‾‾‾‾‾‾‾‾‾‾‾╲____________________
+//! rest        ‾‾‾‾‾╲____________╱‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾╲╱‾‾‾
 //! ```
 //!
-//! Every gesture, rest included, has a level from 0 to 1: it rises while the gesture is commanded and falls
-//! while it is not.
+//! Every gesture, rest included, has a level from 0 to 1, its share of the amplitude. That of the commanded gesture goes
+//! to its effort, that of rest to what is left of 1, and those of all others to 0.
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::{Gesture, GestureSet};
@@ -78,6 +78,8 @@ pub struct Performance {
     fall_samples: u64,
     sample: u64,
     truth: Truth,
+    /// Of the commanded gesture, from 0 to 1.
+    effort: f32,
 }
 
 #[derive(Clone, Debug)]
@@ -120,6 +122,7 @@ impl Performance {
             fall_samples: fall_samples as u64,
             sample: 0,
             truth: Truth { gesture: Gesture::REST, since_sample: 0 },
+            effort: 1.0,
         }
     }
 
@@ -138,15 +141,15 @@ impl Performance {
         let first = script.steps()[0];
         let step_ends_at = duration_samples(first.duration, sample_rate_hz);
         performance.script = Some(Playback { script, repeat, sample_rate_hz, step: 0, step_ends_at });
-        performance.command(first.gesture);
+        performance.command(first.gesture, first.effort);
         performance
     }
 
-    /// Commands `gesture` from the next sample on, and leaves the script if there was one. A gesture that the profile does
-    /// not know is a rest.
-    pub fn set_gesture(&mut self, gesture: Gesture) {
+    /// Commands `gesture` from the next sample on, at an effort from 0 to 1, its share of the amplitude, and leaves the
+    /// script if there was one. A gesture that the profile does not know, and one without effort, is a rest.
+    pub fn set_gesture(&mut self, gesture: Gesture, effort: f32) {
         self.script = None;
-        self.command(gesture);
+        self.command(gesture, effort);
     }
 
     /// Whether a script that is played once has ended, or was left by [`Performance::set_gesture`].
@@ -164,10 +167,15 @@ impl Performance {
         self.follow_script();
         let commanded = usize::from(self.gestures.number(self.truth.gesture).unwrap_or(0));
         for (index, level) in self.levels.iter_mut().enumerate() {
-            *level = if index == commanded {
-                (*level + self.rise_per_sample).min(1.0)
+            let wanted = match index {
+                _ if index == commanded => self.effort,
+                0 => 1.0 - self.effort,
+                _ => 0.0,
+            };
+            *level = if *level < wanted {
+                (*level + self.rise_per_sample).min(wanted)
             } else {
-                (*level - self.fall_per_sample).max(0.0)
+                (*level - self.fall_per_sample).max(wanted)
             };
         }
         self.sample += 1;
@@ -183,17 +191,19 @@ impl Performance {
         if playback.step == playback.script.steps().len() {
             playback.step = 0;
             if playback.repeat == Repeat::Once {
-                self.set_gesture(Gesture::REST);
+                self.set_gesture(Gesture::REST, 1.0);
                 return;
             }
         }
         let step = playback.script.steps()[playback.step];
         playback.step_ends_at += duration_samples(step.duration, playback.sample_rate_hz);
-        self.command(step.gesture);
+        self.command(step.gesture, step.effort);
     }
 
-    fn command(&mut self, gesture: Gesture) {
-        let gesture = if self.gestures.number(gesture).is_some() { gesture } else { Gesture::REST };
+    fn command(&mut self, gesture: Gesture, effort: f32) {
+        let is_known = self.gestures.number(gesture).is_some();
+        let gesture = if is_known && effort > 0.0 { gesture } else { Gesture::REST };
+        self.effort = if gesture == Gesture::REST { 1.0 } else { effort.min(1.0) };
         if gesture == self.truth.gesture {
             return;
         }
@@ -280,12 +290,30 @@ mod tests {
     fn a_gesture_set_from_outside_replaces_the_script() {
         let mut performance = play("rest 1s, grip 1s", Repeat::Forever);
         follow(&mut performance, 100);
-        performance.set_gesture(Gesture::ULNAR);
+        performance.set_gesture(Gesture::ULNAR, 1.0);
         let played = follow(&mut performance, 2000);
         assert!(
             played.iter().all(|(truth, _)| *truth == Truth { gesture: Gesture::ULNAR, since_sample: 100 })
         );
         assert_eq!(played[1999].1[3], 1.0);
         assert_eq!(played[1999].1[0], 0.0);
+    }
+
+    #[test]
+    fn effort_shares_the_amplitude_between_a_gesture_and_rest() {
+        let mut performance = play("rest 1s, grip@0.4 1s, grip 1s, grip@0.2 1s", Repeat::Once);
+        let played = follow(&mut performance, 5000);
+        for (sample, grip) in [(999, 0.0), (1999, 0.4), (2999, 1.0), (3999, 0.2), (4999, 0.0)] {
+            let (truth, levels) = &played[sample];
+            assert!((levels[5] - grip).abs() < 1e-6, "{} at {sample}", levels[5]);
+            assert!((levels[0] - (1.0 - grip)).abs() < 1e-6, "rest {} at {sample}", levels[0]);
+            assert_eq!(truth.gesture, if grip > 0.0 { Gesture::GRIP } else { Gesture::REST });
+        }
+        // It is one gesture, however hard: only its beginning and its end change the truth.
+        assert_eq!(played[3999].0.since_sample, 1000);
+        assert_eq!(played[4999].0.since_sample, 4150);
+        performance.set_gesture(Gesture::ULNAR, 0.0);
+        let (truth, levels) = follow(&mut performance, 1).remove(0);
+        assert_eq!((truth.gesture, levels[3]), (Gesture::REST, 0.0));
     }
 }

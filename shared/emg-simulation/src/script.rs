@@ -14,16 +14,19 @@ pub const DEFAULT_SCRIPT: &str = "rest 6s, extension 2s, rest 1s, flexion 2s, re
                                   radial 2s, rest 1s, grip 2s, rest 1s";
 
 /// One gesture, held for a while.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
     /// The gesture made.
     pub gesture: Gesture,
+    /// Its share of the amplitude of a full contraction, above 0 and at most 1.
+    pub effort: f32,
     /// Duration, greater than zero.
     pub duration: Duration,
 }
 
-/// A sequence of gestures, at least one. Its text form is `rest 6s, extension 1500ms`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A sequence of gestures, at least one. Its text form is `rest 6s, extension 1500ms, grip@0.5 2s`: the grip at half the
+/// effort.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Script {
     steps: Vec<Step>,
 }
@@ -44,6 +47,16 @@ pub enum ScriptError {
         column: usize,
         /// The word.
         unknown: tendon_gesture::NoGestureName,
+    },
+    /// An effort that is none.
+    #[error(
+        "script, column {column}: `{found}` is no effort: expected a number above 0 and at most 1, such as `grip@0.5`"
+    )]
+    Effort {
+        /// Where the effort begins.
+        column: usize,
+        /// What stands there.
+        found: String,
     },
     /// A gesture without a duration.
     #[error("script, column {column}: expected a duration after `{gesture}`, such as `2s` or `1500ms`")]
@@ -74,18 +87,24 @@ pub enum ScriptError {
     },
 }
 
+impl Step {
+    /// A full contraction.
+    fn full(gesture: Gesture, duration: Duration) -> Step {
+        Step { gesture, effort: 1.0, duration }
+    }
+}
+
 impl Script {
     /// A random sequence of `gestures` that depends on `seed` alone: 6 s of rest, then `count` times an active gesture
     /// of 1 to 3 s followed by 1 to 2 s of rest.
     pub fn random(gestures: &GestureSet, seed: u64, count: usize) -> Script {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let mut steps = vec![Step { gesture: Gesture::REST, duration: Duration::from_secs(6) }];
+        let mut steps = vec![Step::full(Gesture::REST, Duration::from_secs(6))];
         for _ in 0..count {
             let number = rng.random_range(1..gestures.len()) as u8;
             let gesture = gestures.get(number).expect("the number is below their count");
-            steps.push(Step { gesture, duration: Duration::from_millis(rng.random_range(1000..=3000)) });
-            let duration = Duration::from_millis(rng.random_range(1000..=2000));
-            steps.push(Step { gesture: Gesture::REST, duration });
+            steps.push(Step::full(gesture, Duration::from_millis(rng.random_range(1000..=3000))));
+            steps.push(Step::full(Gesture::REST, Duration::from_millis(rng.random_range(1000..=2000))));
         }
         Script { steps }
     }
@@ -125,9 +144,10 @@ impl FromStr for Script {
 
 impl fmt::Display for Script {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (index, Step { gesture, duration }) in self.steps.iter().enumerate() {
+        for (index, Step { gesture, effort, duration }) in self.steps.iter().enumerate() {
             let separator = if index == 0 { "" } else { ", " };
-            write!(formatter, "{separator}{gesture} {}ms", duration.as_millis())?;
+            let effort = if *effort == 1.0 { String::new() } else { format!("@{effort}") };
+            write!(formatter, "{separator}{gesture}{effort} {}ms", duration.as_millis())?;
         }
         Ok(())
     }
@@ -141,8 +161,14 @@ fn parse_step(part: &str, column: usize) -> Result<Step, ScriptError> {
         (word, column + part[..bytes_before].chars().count())
     });
     let (name, name_column) = words.next().ok_or(ScriptError::MissingStep { column })?;
+    let (name, effort) = name.split_once('@').map_or((name, None), |(name, effort)| (name, Some(effort)));
     let gesture: Gesture =
         name.parse().map_err(|unknown| ScriptError::Gesture { column: name_column, unknown })?;
+    let effort = effort.map_or(Ok(1.0), |text| {
+        let effort = text.parse().ok().filter(|effort| *effort > 0.0 && *effort <= 1.0);
+        let column = name_column + name.chars().count() + 1;
+        effort.ok_or_else(|| ScriptError::Effort { column, found: text.to_owned() })
+    })?;
     let (text, text_column) = words.next().ok_or_else(|| ScriptError::MissingDuration {
         column: column + part.trim_end().chars().count(),
         gesture,
@@ -150,7 +176,7 @@ fn parse_step(part: &str, column: usize) -> Result<Step, ScriptError> {
     let duration = parse_duration(text)
         .ok_or_else(|| ScriptError::Duration { column: text_column, found: text.to_owned() })?;
     match words.next() {
-        None => Ok(Step { gesture, duration }),
+        None => Ok(Step { gesture, effort, duration }),
         Some((found, column)) => Err(ScriptError::MissingComma { column, found: found.to_owned() }),
     }
 }
@@ -177,7 +203,7 @@ mod tests {
     #[test]
     fn the_default_script_makes_every_gesture_after_six_seconds_of_rest() {
         let script: Script = DEFAULT_SCRIPT.parse().unwrap();
-        assert_eq!(script.steps()[0], Step { gesture: Gesture::REST, duration: Duration::from_secs(6) });
+        assert_eq!(script.steps()[0], Step::full(Gesture::REST, Duration::from_secs(6)));
         for gesture in Gesture::PAPER {
             assert!(script.steps().iter().any(|step| step.gesture == gesture), "{gesture} is missing");
         }
@@ -197,6 +223,10 @@ mod tests {
             message("rest 6s,  grip"),
             "script, column 15: expected a duration after `grip`, such as `2s` or `1500ms`"
         );
+        for effort in ["", "0", "-1", "1.1", "half", "NaN", "0.5@1"] {
+            let refused = message(&format!("rest 6s, grip@{effort} 2s"));
+            assert!(refused.starts_with(&format!("script, column 15: `{effort}` is no effort")), "{refused}");
+        }
         assert!(message("grip 2 s").starts_with("script, column 6: `2` is no duration"));
         assert!(message("grip -2s").starts_with("script, column 6: `-2s` is no duration"));
         assert!(message("grip NaNs").starts_with("script, column 6: `NaNs` is no duration"));
@@ -219,8 +249,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_printed_is_read_back(seed: u64, gestures in 0_usize..30) {
-            let script = random(seed, gestures);
+        fn what_is_printed_is_read_back(seed: u64, gestures in 0_usize..30, effort in 0.001_f32..=1.0) {
+            let mut script = random(seed, gestures);
+            script.steps[0].effort = effort;
             prop_assert_eq!(script.to_string().parse::<Script>(), Ok(script));
         }
 

@@ -40,6 +40,8 @@ impl StrategyModels {
         let model = match strategy {
             Strategy::Threshold | Strategy::TwoStage => &self.five_gesture,
             Strategy::Direct => &self.six_class,
+            // It has no model: whoever calibrates makes the pipeline.
+            Strategy::Personal => &None,
         };
         let recogniser =
             Recogniser::load(library, &settings.decision, model.as_deref(), self.rest_move.as_deref())?;

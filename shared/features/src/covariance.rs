@@ -7,7 +7,8 @@
 //!  …                                   …                                    diagonal times √2
 //! ```
 //!
-//! A window is divided into pieces of equal length, of about `piece_ms`. Its features are the mean of theirs.
+//! A window is divided into pieces of equal length, of about `piece_ms`. Its features are the mean of theirs. Windows of a
+//! stream overlap, so most pieces have been computed for an earlier window (`cache.rs`).
 //!
 //! C = Z Zᵀ / samples + (ridge · mean diagonal + floor) · 1. Its elements are amplitudes, spectra and how the
 //! channels go together. The logarithm makes them comparable across people and forces: the features are the
@@ -15,6 +16,7 @@
 //! covariances. Covariances of EMG: Gowda and Miller 2023, arXiv 2311.08548. The mean is not subtracted: the
 //! filter of the dsp stage has removed it.
 
+use crate::cache::PieceCache;
 use crate::eigen::{SymmetricEigen, add_scaled};
 use crate::error::FeatureError;
 use crate::prior::FeatureLayout;
@@ -46,6 +48,9 @@ pub struct LaggedLogCovariance {
     chunk: Vec<f64>,
     covariance: Vec<f64>,
     eigen: SymmetricEigen,
+    /// The logarithm of one piece, as in the features but for the factor of what is off the diagonal.
+    logarithm: Vec<f64>,
+    cache: PieceCache,
 }
 
 /// All pairs of delays that are this far apart share most of their products.
@@ -112,7 +117,18 @@ impl LaggedLogCovariance {
             chunk: vec![0.0; channels * (longest + CHUNK)],
             covariance: vec![0.0; rows * rows],
             eigen: SymmetricEigen::new(rows),
+            logarithm: vec![0.0; rows * (rows + 1) / 2],
+            cache: PieceCache::default(),
         })
+    }
+
+    /// Prepares [`compute_next`](Self::compute_next) for windows of one length, of which one begins
+    /// `increment_samples` after the other. Where a piece is as long as several increments, a window then costs a
+    /// single logarithm: its other pieces are those of earlier windows.
+    pub fn with_increment(mut self, window_samples: usize, increment_samples: usize) -> LaggedLogCovariance {
+        let pieces = self.pieces(window_samples);
+        self.cache = PieceCache::new(window_samples, pieces, increment_samples, self.feature_count());
+        self
     }
 
     /// Number of features, d (d + 1) / 2 for d = channels x delays.
@@ -160,6 +176,34 @@ impl LaggedLogCovariance {
     /// Window or `features` have the wrong length, or a sample is not finite. `features` is then left as it
     /// was or holds nothing of use.
     pub fn compute(&mut self, window: &[f32], features: &mut [f64]) -> Result<(), FeatureError> {
+        self.compute_pieces(window, None, features)
+    }
+
+    /// As [`compute`](Self::compute), to the bit, for windows in the order of a stream, with what
+    /// [`with_increment`](Self::with_increment) has prepared. `first_sample` is the window's place in the stream. Pieces
+    /// of earlier windows are used again only if these followed one another by the increment up to this window: where
+    /// there is a gap, everything is computed anew.
+    ///
+    /// # Errors
+    ///
+    /// As [`compute`](Self::compute).
+    pub fn compute_next(
+        &mut self,
+        window: &[f32],
+        first_sample: u64,
+        features: &mut [f64],
+    ) -> Result<(), FeatureError> {
+        self.cache.follow(first_sample);
+        self.compute_pieces(window, Some(first_sample), features)
+    }
+
+    /// `first_sample` is `None` for a window that is not part of the stream.
+    fn compute_pieces(
+        &mut self,
+        window: &[f32],
+        first_sample: Option<u64>,
+        features: &mut [f64],
+    ) -> Result<(), FeatureError> {
         if !window.len().is_multiple_of(self.channels) {
             return Err(FeatureError::Window { values: window.len(), channels: self.channels });
         }
@@ -172,6 +216,7 @@ impl LaggedLogCovariance {
         }
         features.fill(0.0);
         let pieces = self.pieces(samples);
+        let share = 1.0 / pieces as f64;
         for piece in 0..pieces {
             let piece = Piece {
                 window,
@@ -179,7 +224,16 @@ impl LaggedLogCovariance {
                 start: piece * samples / pieces,
                 end: (piece + 1) * samples / pieces,
             };
-            self.add_piece(&piece, 1.0 / pieces as f64, features)?;
+            let place = first_sample.and_then(|first_sample| first_sample.checked_add(piece.start as u64));
+            if let Some(logarithm) = place.and_then(|place| self.cache.get(place, samples)) {
+                add_scaled(features, share, logarithm);
+                continue;
+            }
+            self.take_logarithm(&piece)?;
+            add_scaled(features, share, &self.logarithm);
+            if let Some(place) = place {
+                self.cache.put(place, samples, &self.logarithm);
+            }
         }
         let (rows, mut at) = (self.rows(), 0);
         for row in 0..rows {
@@ -195,15 +249,15 @@ impl LaggedLogCovariance {
         wanted.min(samples / self.shortest_window()).max(1)
     }
 
-    /// Adds the logarithm of a piece's covariance, times `share`.
-    fn add_piece(&mut self, piece: &Piece, share: f64, features: &mut [f64]) -> Result<(), FeatureError> {
+    /// Computes the logarithm of a piece's covariance.
+    fn take_logarithm(&mut self, piece: &Piece) -> Result<(), FeatureError> {
         self.multiply(piece);
         self.assemble(piece);
         let scale = self.regularise(piece.samples() - self.longest_delay())?;
         if !self.eigen.decompose(&mut self.covariance) {
             return Err(FeatureError::NoConvergence);
         }
-        self.add_logarithm(scale.ln(), share, features);
+        self.assemble_logarithm(scale.ln());
         Ok(())
     }
 
@@ -282,22 +336,23 @@ impl LaggedLogCovariance {
         Ok(scale)
     }
 
-    /// log C = V (log Λ) Vᵀ + log(scale) · 1, of which the rows of the upper triangle go straight to the
-    /// features.
-    fn add_logarithm(&self, log_scale: f64, share: f64, features: &mut [f64]) {
+    /// log C = V (log Λ) Vᵀ + log(scale) · 1, of which the rows of the upper triangle are kept.
+    fn assemble_logarithm(&mut self, log_scale: f64) {
         let rows = self.rows();
-        for (value, vector) in self.eigen.values().iter().zip(self.eigen.vectors()) {
-            let log = share * value.max(SMALLEST_EIGENVALUE).ln();
+        let LaggedLogCovariance { eigen, logarithm, .. } = self;
+        logarithm.fill(0.0);
+        for (value, vector) in eigen.values().iter().zip(eigen.vectors()) {
+            let log = value.max(SMALLEST_EIGENVALUE).ln();
             let mut at = 0;
             for row in 0..rows {
                 let length = rows - row;
-                add_scaled(&mut features[at..at + length], log * vector[row], &vector[row..]);
+                add_scaled(&mut logarithm[at..at + length], log * vector[row], &vector[row..]);
                 at += length;
             }
         }
         let mut at = 0;
         for row in 0..rows {
-            features[at] += share * log_scale;
+            logarithm[at] += log_scale;
             at += rows - row;
         }
     }

@@ -35,12 +35,15 @@ pub struct Discriminant {
     /// Weight that the prior had; 0 without one.
     prior_weight: f64,
     /// Classes x features: S⁻¹ (μ - m).
+    #[serde(with = "crate::numbers")]
     weights: Vec<f64>,
     /// One per class.
     biases: Vec<f64>,
     /// L, row by row up to the diagonal.
+    #[serde(with = "crate::numbers")]
     factor: Vec<f64>,
     /// Classes x features: L⁻¹ μ.
+    #[serde(with = "crate::numbers")]
     whitened_means: Vec<f64>,
 }
 
@@ -187,6 +190,14 @@ impl Discriminant {
     }
 
     fn checked(self) -> Result<Discriminant, FitError> {
+        // So that no length of a damaged file overflows.
+        if self.feature_count > self.weights.len() {
+            return Err(FitError::Length {
+                what: "weights",
+                given: self.weights.len(),
+                needed: self.feature_count,
+            });
+        }
         let lengths = [
             ("weights", self.weights.len(), self.classes.len() * self.feature_count),
             ("biases", self.biases.len(), self.classes.len()),
@@ -220,9 +231,12 @@ struct Unchecked {
     temperature: f64,
     shrinkage: f64,
     prior_weight: f64,
+    #[serde(with = "crate::numbers")]
     weights: Vec<f64>,
     biases: Vec<f64>,
+    #[serde(with = "crate::numbers")]
     factor: Vec<f64>,
+    #[serde(with = "crate::numbers")]
     whitened_means: Vec<f64>,
 }
 

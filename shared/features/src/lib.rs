@@ -30,11 +30,13 @@
 //! What it recognises, and what was tried, is in `docs/decisions/personal-recogniser.md`.
 #![forbid(unsafe_code)]
 
+mod cache;
 mod covariance;
 mod cross_validation;
 mod discriminant;
 mod eigen;
 mod error;
+mod numbers;
 mod population;
 mod prior;
 mod settings;

@@ -17,7 +17,9 @@ fn a_window_allocates_nothing() {
         };
         let before_construction = allocations();
         let settings = MethodSettings::default();
-        let mut covariance = LaggedLogCovariance::new(&settings, channels, 2000.0, 1e-3).expect("valid");
+        let mut covariance = LaggedLogCovariance::new(&settings, channels, 2000.0, 1e-3)
+            .expect("valid")
+            .with_increment(600, 50);
         let feature_count = covariance.feature_count();
         let mut features = vec![0.0; 12 * feature_count];
         for (number, features) in features.chunks_exact_mut(feature_count).enumerate() {
@@ -43,6 +45,10 @@ fn a_window_allocates_nothing() {
         let (mut posterior, mut recognised, mut refused) = ([0.0; 2], 0, 0);
         let before = allocations();
         for window in &windows {
+            for first_sample in [0, 50, 100, 150, 200, 1000] {
+                // Its result is that of the window alone.
+                let _ = covariance.compute_next(window, first_sample, &mut features);
+            }
             match covariance.compute(window, &mut features) {
                 Ok(()) => {
                     let done = discriminant

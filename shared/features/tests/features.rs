@@ -90,6 +90,33 @@ proptest! {
         }
     }
 
+    /// Windows of a stream, with gaps and repeats, have the features of each window alone, to the bit, whether the
+    /// increment divides the pieces (50, 75, 150) or not (40).
+    #[test]
+    fn windows_of_a_stream_have_the_features_of_each_alone(
+        signal in vec(-500.0_f32..500.0, 2 * 1500),
+        increment in prop_oneof![Just(50_usize), Just(75), Just(150), Just(40)],
+        jumps in vec(prop_oneof![8 => Just(1_usize), 1 => Just(0), 1 => Just(2), 1 => Just(5)], 20),
+        offset in prop_oneof![Just(0_u64), 1_u64..1000, Just(u64::MAX - 700)],
+    ) {
+        const WINDOW: usize = 300;
+        let settings = MethodSettings::default();
+        let mut stream = LaggedLogCovariance::new(&settings, 2, 2000.0, 0.5)
+            .expect("valid")
+            .with_increment(WINDOW, increment);
+        let mut alone = LaggedLogCovariance::new(&settings, 2, 2000.0, 0.5).expect("valid");
+        let mut features = vec![0.0; alone.feature_count()];
+        let mut expected = features.clone();
+        let mut at = 0;
+        for jump in jumps {
+            at = (at + jump * increment) % (1500 - WINDOW);
+            let window = [&signal[at..at + WINDOW], &signal[1500 + at..1500 + at + WINDOW]].concat();
+            stream.compute_next(&window, offset.saturating_add(at as u64), &mut features).expect("features");
+            alone.compute(&window, &mut expected).expect("features");
+            prop_assert_eq!(&features, &expected);
+        }
+    }
+
     /// Channels in another order are the same features in another order.
     #[test]
     fn exchanged_channels_exchange_features(window in vec(-500.0_f32..500.0, 2 * 100)) {
@@ -105,6 +132,39 @@ proptest! {
             prop_assert!((first - second).abs() < 1e-9);
         }
     }
+}
+
+/// What was computed for an earlier window is not computed again: changed samples go unnoticed, except in the newest
+/// piece. After a gap, and in a window that is not part of the stream, they count.
+#[test]
+fn a_window_of_a_stream_computes_its_newest_piece_only() {
+    let mut random = 1_u32;
+    let mut signal = Vec::new();
+    signal.resize_with(1000, || {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (random >> 8) as f32 / (1 << 24) as f32 - 0.5
+    });
+    let mut stream = LaggedLogCovariance::new(&MethodSettings::default(), 1, 2000.0, 1e-3)
+        .expect("valid")
+        .with_increment(300, 50);
+    let mut features = vec![0.0; stream.feature_count()];
+    for first_sample in [0, 50, 100] {
+        let window = &signal[first_sample..first_sample + 300];
+        stream.compute_next(window, first_sample as u64, &mut features).expect("features");
+    }
+    let mut alone = features.clone();
+    stream.compute(&signal[150..450], &mut alone).expect("features");
+    signal[160] += 1.0;
+    stream.compute_next(&signal[150..450], 150, &mut features).expect("features");
+    assert_eq!(features, alone, "the first piece is that of the first window");
+    signal[360] += 1.0;
+    stream.compute_next(&signal[200..500], 200, &mut features).expect("features");
+    stream.compute(&signal[200..500], &mut alone).expect("features");
+    assert_eq!(features, alone, "the newest piece is computed");
+    signal[460] += 1.0;
+    stream.compute_next(&signal[300..600], 300, &mut features).expect("features");
+    stream.compute(&signal[300..600], &mut alone).expect("features");
+    assert_eq!(features, alone, "a window is missing in between");
 }
 
 /// Magnitudes at both ends of what `f32` holds, beside each other and alone.

@@ -20,10 +20,13 @@ pub enum Strategy {
     TwoStage,
     /// Strategy (c): the classifier knows all six classes. The activity detector is not used.
     Direct,
+    /// A recogniser that was calibrated to the person, who has gestures of their own, rest among them. The activity
+    /// detector is not used.
+    Personal,
 }
 
 impl Strategy {
-    /// All of them, in the paper's order.
+    /// The paper's, in its order.
     pub const ALL: [Strategy; 3] = [Strategy::Threshold, Strategy::TwoStage, Strategy::Direct];
 
     /// The name used in configuration and reports.
@@ -32,6 +35,7 @@ impl Strategy {
             Strategy::Threshold => "threshold",
             Strategy::TwoStage => "two_stage",
             Strategy::Direct => "direct",
+            Strategy::Personal => "personal",
         }
     }
 }
@@ -192,7 +196,7 @@ impl Decider {
         let first_candidate = match self.settings.strategy {
             Strategy::Threshold if !evidence.moving => return (Gesture::REST, 1.0),
             Strategy::Threshold => 1,
-            Strategy::TwoStage | Strategy::Direct => 0,
+            Strategy::TwoStage | Strategy::Direct | Strategy::Personal => 0,
         };
         self.settings
             .gestures

@@ -239,8 +239,9 @@ numbered! {
     } otherwise Calibrating
 }
 
-/// Header of a prediction; payload `f32 [gestures]`, the probability of every gesture of the session by class number, 0
-/// for those the model does not know.
+/// Header of a prediction; payload `f32 [2 x gestures]`: the probability of every gesture of the session by class number,
+/// 0 for those the model does not know; then the effort of every gesture, how hard it is made if it is this one, 0 to 1,
+/// and 1 where nothing tells.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub struct PredictionHeader {
@@ -248,6 +249,8 @@ pub struct PredictionHeader {
     pub trace: Trace,
     /// The window that was classified.
     pub context: WindowContext,
+    /// How unlike the person's calibration the window is; above 1, it is like nothing in it. 0 from a network.
+    pub novelty: f32,
 }
 
 /// Header of a command; payload `f32 [6]`, the twist in the arm's base frame: mm/s along x, y, z, then

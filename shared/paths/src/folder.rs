@@ -62,8 +62,11 @@ pub enum PathError {
         path: PathBuf,
     },
     /// There is nowhere to keep lasting state.
-    #[error("this user has no home folder: set XDG_STATE_HOME to a folder of this user")]
-    NoHome,
+    #[error("this user has no home folder: set {variable} to a folder of this user")]
+    NoHome {
+        /// The variable of the environment that names another folder.
+        variable: &'static str,
+    },
     /// The system refused.
     #[error("cannot use {path}", path = path.display())]
     System {
@@ -294,7 +297,28 @@ fn runtime_path(given: Option<PathBuf>) -> PathBuf {
 /// [`PathError`] if there is no home, or the folder cannot be trusted.
 pub fn state_folder() -> Result<PrivateFolder, PathError> {
     let given = |name| std::env::var_os(name).map(PathBuf::from);
-    PrivateFolder::open(&state_path(given("XDG_STATE_HOME"), given("HOME"))?)
+    PrivateFolder::open(&lasting_path(
+        given("XDG_STATE_HOME"),
+        given("HOME"),
+        ".local/state",
+        "XDG_STATE_HOME",
+    )?)
+}
+
+/// The folder of what the user keeps: `$XDG_DATA_HOME/tendon`, else `.local/share/tendon` in this user's home. Folders of
+/// others are passed over as in [`state_folder`].
+///
+/// # Errors
+///
+/// As [`state_folder`].
+pub fn data_folder() -> Result<PrivateFolder, PathError> {
+    let given = |name| std::env::var_os(name).map(PathBuf::from);
+    PrivateFolder::open(&lasting_path(
+        given("XDG_DATA_HOME"),
+        given("HOME"),
+        ".local/share",
+        "XDG_DATA_HOME",
+    )?)
 }
 
 /// The folder of records of how this user left each arm.
@@ -306,17 +330,23 @@ pub fn arm_record_folder() -> Result<PrivateFolder, PathError> {
     PrivateFolder::open(&state_folder()?.path().join("arms"))
 }
 
-fn state_path(state_home: Option<PathBuf>, home: Option<PathBuf>) -> Result<PathBuf, PathError> {
+/// `given` by the environment as `variable`, else `below_home` in the home.
+fn lasting_path(
+    given: Option<PathBuf>,
+    home: Option<PathBuf>,
+    below_home: &str,
+    variable: &'static str,
+) -> Result<PathBuf, PathError> {
     let is_own = |path: &PathBuf| {
         // The nearest folder that is there already.
         let there = path.ancestors().find_map(|folder| std::fs::metadata(folder).ok());
         path.is_absolute() && there.is_some_and(|status| status.uid() == geteuid().as_raw())
     };
     let registered = || User::from_uid(geteuid()).ok().flatten().map(|user| user.dir);
-    let below_home = |home: PathBuf| home.join(".local/state");
-    let folder = state_home.filter(is_own);
+    let below_home = |home: PathBuf| home.join(below_home);
+    let folder = given.filter(is_own);
     let folder = folder.or_else(|| home.filter(is_own).or_else(registered).map(below_home));
-    folder.map(|folder| folder.join("tendon")).ok_or(PathError::NoHome)
+    folder.map(|folder| folder.join("tendon")).ok_or(PathError::NoHome { variable })
 }
 
 #[cfg(test)]
@@ -414,6 +444,7 @@ mod tests {
         set_mode(&long, 0o700);
         assert_eq!(runtime_path(Some(long)), fallback_path());
 
+        let state_path = |given, home| lasting_path(given, home, ".local/state", "XDG_STATE_HOME");
         assert_eq!(state_path(Some(given.clone()), None).unwrap(), given.join("tendon"));
         let below_home = given.join(".local/state/tendon");
         assert_eq!(state_path(None, Some(given.clone())).unwrap(), below_home);

@@ -3,6 +3,7 @@
 //! ```text
 //! runtime_folder   $XDG_RUNTIME_DIR/tendon            else /tmp/tendon-UID       gone after a reboot
 //! state_folder     $XDG_STATE_HOME/tendon             else ~/.local/state/tendon lasting
+//! data_folder      $XDG_DATA_HOME/tendon              else ~/.local/share/tendon what the user keeps
 //! SharedFolder     notes that all users can read, and that only their writer can change
 //! Claim            a socket name in the kernel        one holder, gone with its process
 //! ```
@@ -18,6 +19,7 @@ mod shared;
 
 pub use claim::{Claim, ClaimError, Holder, claimed_names};
 pub use folder::{
-    PathError, PrivateFolder, arm_record_folder, runtime_folder, runtime_folders, state_folder, user_name,
+    PathError, PrivateFolder, arm_record_folder, data_folder, runtime_folder, runtime_folders, state_folder,
+    user_name,
 };
 pub use shared::{SharedFolder, shared_arm_folder};

@@ -10,7 +10,7 @@
 
 use std::time::Instant;
 
-use tendon_classifier::{ClassifierError, Recogniser, WindowSource};
+use tendon_classifier::{ClassifierError, Recogniser, Recognition, WindowSource};
 use tendon_gesture::{Decider, Decision, DecisionSettings, Evidence, InvalidDecisionSetting};
 use tendon_signal::{Activity, DesignError, SignalChain, SignalSettings, Window};
 
@@ -48,8 +48,8 @@ pub struct Step<'a> {
     pub window: Window,
     /// Its samples, filtered, `[channels × samples]`.
     pub samples: &'a [f32],
-    /// Probability of every gesture of the settings, by class number.
-    pub probabilities: &'a [f32],
+    /// Probability and effort of every gesture of the settings, by class number, and how strange the window is.
+    pub recognition: Recognition<'a>,
     /// What the arm would be told.
     pub decision: Decision,
     /// Time from the window's newest sample being pushed to the decision, ns.
@@ -135,7 +135,8 @@ impl Pipeline {
         let mut began = Instant::now();
         chain.push_block(block, |chain, window, _| {
             chain.write_window(samples);
-            let probabilities = recogniser.recognise(samples)?;
+            let recognition = recogniser.recognise(samples, window.first_sample)?;
+            let probabilities = recognition.probabilities;
             let decision = decider.decide(&Evidence {
                 probabilities,
                 moving: window.activity == Activity::Move,
@@ -143,7 +144,7 @@ impl Pipeline {
                 captured_ns: (window.first_sample as f64 * 1e9 / settings.sample_rate_hz) as u64,
             });
             let work_ns = began.elapsed().as_nanos() as u64;
-            on_step(Step { window, samples, probabilities, decision, work_ns });
+            on_step(Step { window, samples, recognition, decision, work_ns });
             began = Instant::now();
             Ok::<(), ClassifierError>(())
         })?;

@@ -57,7 +57,8 @@ fn decisions(pipeline: &mut Pipeline, block_samples: usize) -> Vec<(u64, Vec<u32
     for _ in 0..40_000 / block_samples {
         emg.fill_block(&mut performance, &mut block);
         let keep = |step: tendon_pipeline::Step<'_>| {
-            let bits = step.probabilities.iter().map(|probability| probability.to_bits()).collect();
+            let bits =
+                step.recognition.probabilities.iter().map(|probability| probability.to_bits()).collect();
             decisions.push((step.window.first_sample, bits, step.decision.voted));
         };
         pipeline.push(&block, keep).unwrap();

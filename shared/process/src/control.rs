@@ -22,7 +22,7 @@ use crate::error::ProcessError;
 use crate::orders::{Asker, MAXIMUM_LINE_LENGTH, Order, OrderSocket};
 
 /// Why a wait ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wake {
     /// The process is to stop. No order to stop the arm is left that came before.
     Stop,

@@ -25,12 +25,17 @@ use tendon_transport::{FindError, SessionName, find_owner, own_user};
 use crate::error::ProcessError;
 
 /// What a stage is told to do, one line of text each.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
     /// Let the source begin.
     Start,
-    /// The person at the keyboard, or the simulated one, makes this gesture.
-    Gesture(Gesture),
+    /// The person at the keyboard, or the simulated one, makes a gesture.
+    Gesture {
+        /// Which.
+        gesture: Gesture,
+        /// Its share of the amplitude of a full contraction, from 0 to 1. The line need not say it: 1 then.
+        effort: f32,
+    },
     /// The supervisor is there. The robot rests when this stops coming.
     Alive,
     /// Stop the arm, until [`Order::Arm`].
@@ -46,7 +51,7 @@ impl Order {
     pub fn line(self) -> String {
         match self {
             Order::Start => "start".to_owned(),
-            Order::Gesture(gesture) => format!("gesture {gesture}"),
+            Order::Gesture { gesture, effort } => format!("gesture {gesture} {effort}"),
             Order::Alive => "alive".to_owned(),
             Order::Stop => "stop".to_owned(),
             Order::Arm => "arm".to_owned(),
@@ -65,12 +70,22 @@ impl Order {
             "stop" => Some(Order::Stop),
             "arm" => Some(Order::Arm),
             "stage-ended" => Some(Order::StageEnded),
-            line => match line.split_once(' ') {
-                Some(("gesture", name)) => name.trim().parse().ok().map(Order::Gesture),
-                _ => None,
-            },
+            line => parse_gesture(line),
         }
     }
+}
+
+/// Reads `gesture NAME` and `gesture NAME EFFORT`.
+fn parse_gesture(line: &str) -> Option<Order> {
+    let mut words = line.split_whitespace();
+    let (Some("gesture"), Some(name), effort, None) =
+        (words.next(), words.next(), words.next(), words.next())
+    else {
+        return None;
+    };
+    let effort = effort.map_or(Some(1.0), |effort| effort.parse().ok())?;
+    let gesture = name.parse().ok()?;
+    (0.0..=1.0).contains(&effort).then_some(Order::Gesture { gesture, effort })
 }
 
 /// Longest line of an order, and longest answer; what is longer is none of ours.
@@ -273,7 +288,8 @@ mod tests {
     fn orders_read_back_from_their_lines() {
         for order in [
             Order::Start,
-            Order::Gesture(Gesture::ULNAR),
+            Order::Gesture { gesture: Gesture::ULNAR, effort: 1.0 },
+            Order::Gesture { gesture: Gesture::GRIP, effort: 0.3 },
             Order::Alive,
             Order::Stop,
             Order::Arm,
@@ -281,7 +297,20 @@ mod tests {
         ] {
             assert_eq!(Order::parse(&order.line()), Some(order));
         }
-        for nonsense in ["", "begin", "gesture", "gesture fist", "start now", "stop it"] {
+        let full = Order::Gesture { gesture: Gesture::ULNAR, effort: 1.0 };
+        assert_eq!(Order::parse("gesture ulnar"), Some(full));
+        for nonsense in [
+            "",
+            "begin",
+            "gesture",
+            "gesture Fist!",
+            "gesture ulnar hard",
+            "gesture ulnar 1.5",
+            "gesture ulnar NaN",
+            "gesture ulnar 1 1",
+            "start now",
+            "stop it",
+        ] {
             assert_eq!(Order::parse(nonsense), None, "{nonsense}");
         }
     }

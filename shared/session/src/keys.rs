@@ -161,7 +161,8 @@ fn hear(robot: &RobotLine, events: &Sender<Event>, gestures: Option<&GestureSet>
             }
             Key::Quit => quit(robot, events),
             Key::Gesture(gesture) => {
-                events.send(Event::Order(Stage::Acquisition, Order::Gesture(gesture))).is_ok()
+                let order = Order::Gesture { gesture, effort: 1.0 };
+                events.send(Event::Order(Stage::Acquisition, order)).is_ok()
             }
         };
         if count == 0 {

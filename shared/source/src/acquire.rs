@@ -82,7 +82,7 @@ impl Acquisition {
             match process.control.wait(None, None)? {
                 Wake::Stop => return Ok(false),
                 Wake::Order(Order::Start) => return Ok(true),
-                Wake::Order(Order::Gesture(gesture)) => source.set_gesture(gesture),
+                Wake::Order(Order::Gesture { gesture, effort }) => source.set_gesture(gesture, effort),
                 Wake::Order(_) | Wake::Message | Wake::Deadline => {}
             }
         }
@@ -158,7 +158,7 @@ fn wait(process: &mut StageProcess, source: &mut dyn Source) -> Result<bool, Pro
         };
         match wake {
             Wake::Stop => return Ok(false),
-            Wake::Order(Order::Gesture(gesture)) => source.set_gesture(gesture),
+            Wake::Order(Order::Gesture { gesture, effort }) => source.set_gesture(gesture, effort),
             Wake::Order(_) => {}
             Wake::Message => return Ok(true),
             Wake::Deadline => {
@@ -179,7 +179,7 @@ fn wait_until(
         match process.control.wait(None, Some(time_ns))? {
             Wake::Stop => return Ok(false),
             Wake::Deadline => return Ok(true),
-            Wake::Order(Order::Gesture(gesture)) => source.set_gesture(gesture),
+            Wake::Order(Order::Gesture { gesture, effort }) => source.set_gesture(gesture, effort),
             Wake::Order(_) | Wake::Message => {}
         }
     }

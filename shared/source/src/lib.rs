@@ -96,7 +96,7 @@ pub trait Source {
     /// [`SourceError`] when the source broke off.
     fn next_block(&mut self, samples: &mut [f32]) -> Result<Next, SourceError>;
 
-    /// The person at the keyboard, or the simulated user, makes this gesture from now on. Sources with a person of
-    /// their own pass over it.
-    fn set_gesture(&mut self, _gesture: Gesture) {}
+    /// The person at the keyboard, or the simulated user, makes this gesture from now on, at an effort from 0 to 1.
+    /// Sources with a person of their own pass over it.
+    fn set_gesture(&mut self, _gesture: Gesture, _effort: f32) {}
 }

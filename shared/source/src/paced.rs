@@ -19,7 +19,7 @@ pub trait BlockMaker {
     fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError>;
 
     /// As [`Source::set_gesture`].
-    fn set_gesture(&mut self, _gesture: Gesture) {}
+    fn set_gesture(&mut self, _gesture: Gesture, _effort: f32) {}
 }
 
 /// How fast blocks come.
@@ -91,8 +91,8 @@ impl<M: BlockMaker> Source for Paced<M> {
         Ok(Next::Block(Block { first_sample, captured_ns, publish_at_ns, truth }))
     }
 
-    fn set_gesture(&mut self, gesture: Gesture) {
-        self.maker.set_gesture(gesture);
+    fn set_gesture(&mut self, gesture: Gesture, effort: f32) {
+        self.maker.set_gesture(gesture, effort);
     }
 }
 

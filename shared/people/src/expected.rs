@@ -1,0 +1,138 @@
+//! What can be expected of a person's recogniser, from the calibration alone.
+//!
+//! ```text
+//! several repetitions   each in turn is recognised by a fit to the others
+//! only one              the same with four parts of it, which are more alike than repetitions are
+//! ```
+
+use serde::{Deserialize, Serialize};
+use tendon_features::{Class, CrossValidation, FitError, MethodSettings, Prior, Training};
+use tendon_gesture::Gesture;
+
+use crate::calibration::Calibration;
+
+/// Parts that a gesture's windows are divided into when there is only one repetition.
+const PARTS: usize = 4;
+/// Two gestures that are taken for each other in a larger share of their windows look alike.
+const ALIKE_SHARE: f64 = 0.05;
+
+/// What was held out to be recognised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HeldOut {
+    /// Whole repetitions.
+    Repetitions,
+    /// Parts of the only repetition: what is said is too good.
+    PartsOfOneRepetition,
+}
+
+/// How well windows are recognised that were held out of the fit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Expected {
+    /// Share of the windows that were recognised; every gesture counts the same.
+    pub accuracy: f64,
+    /// What was held out.
+    pub held_out: HeldOut,
+    /// Windows by gesture made (row) and gesture recognised (column), in the order of the gestures.
+    pub confusion: Vec<Vec<usize>>,
+}
+
+impl Expected {
+    fn of(confusion: Vec<Vec<usize>>, held_out: HeldOut) -> Expected {
+        let share = |(gesture, row): (usize, &Vec<usize>)| {
+            row[gesture] as f64 / row.iter().sum::<usize>().max(1) as f64
+        };
+        let accuracy = confusion.iter().enumerate().map(share).sum::<f64>() / confusion.len().max(1) as f64;
+        Expected { accuracy, held_out, confusion }
+    }
+
+    /// Share of a gesture's windows that were taken for `other`.
+    pub(crate) fn taken_for(&self, gesture: usize, other: usize) -> f64 {
+        let row = &self.confusion[gesture];
+        row[other] as f64 / row.iter().sum::<usize>().max(1) as f64
+    }
+
+    /// Pairs of gestures that are often taken for each other, with the mean share of their windows, the most alike first.
+    pub(crate) fn alike(&self) -> Vec<(usize, usize, f64)> {
+        let gestures = self.confusion.len();
+        let pairs = (0..gestures).flat_map(|first| (first + 1..gestures).map(move |second| (first, second)));
+        let mut alike: Vec<(usize, usize, f64)> = pairs
+            .map(|(a, b)| (a, b, 0.5 * (self.taken_for(a, b) + self.taken_for(b, a))))
+            .filter(|(_, _, share)| *share > ALIKE_SHARE)
+            .collect();
+        alike.sort_by(|(_, _, a), (_, _, b)| b.total_cmp(a));
+        alike
+    }
+
+    pub(crate) fn is_valid(&self, gestures: usize) -> bool {
+        (0.0..=1.0).contains(&self.accuracy)
+            && self.confusion.len() == gestures
+            && self.confusion.iter().all(|row| row.len() == gestures)
+    }
+}
+
+/// Recognises what is held out of `training`, whose labels are those of `calibration`.
+pub(crate) fn cross_validate(
+    calibration: &Calibration,
+    training: &Training,
+    prior: Option<&Prior>,
+    method: &MethodSettings,
+) -> Result<(CrossValidation, Expected), FitError> {
+    if (0..training.classes.len()).all(|label| calibration.repetitions_of(label).len() > 1) {
+        match CrossValidation::new(training, prior, method) {
+            // A repetition of a gesture that was hardly made any other time.
+            Err(FitError::CannotHoldOut { .. }) => {}
+            validation => {
+                let validation = validation?;
+                let expected = Expected::of(validation.confusion(), HeldOut::Repetitions);
+                return Ok((validation, expected));
+            }
+        }
+    }
+    let (windows, parts) = parts(calibration, training);
+    let length = training.feature_count;
+    let features: Vec<f64> =
+        windows.iter().flat_map(|&window| &training.features[window * length..][..length]).copied().collect();
+    let labels: Vec<usize> = windows.iter().map(|&window| training.labels[window]).collect();
+    let divided = Training { features: &features, labels: &labels, blocks: &parts, ..*training };
+    let validation = CrossValidation::new(&divided, prior, method)?;
+    let expected = Expected::of(validation.confusion(), HeldOut::PartsOfOneRepetition);
+    Ok((validation, expected))
+}
+
+/// Divides the windows of each gesture into parts that share no samples: the windows between two parts are left out, at
+/// most half of a part. Returns the windows that are left and the part of each.
+fn parts(calibration: &Calibration, training: &Training) -> (Vec<usize>, Vec<usize>) {
+    let signal = calibration.signal;
+    let overlap = signal.window_samples.div_ceil(signal.increment_samples.max(1)).saturating_sub(1);
+    let mut of_window = vec![None; training.labels.len()];
+    for label in 0..training.classes.len() {
+        let own: Vec<usize> =
+            (0..training.labels.len()).filter(|&window| training.labels[window] == label).collect();
+        for part in 0..PARTS {
+            let windows = &own[part * own.len() / PARTS..(part + 1) * own.len() / PARTS];
+            let left_out = if part == 0 { 0 } else { overlap.min(windows.len() / 2) };
+            windows[left_out..].iter().for_each(|&window| of_window[window] = Some(part));
+        }
+    }
+    of_window.iter().enumerate().filter_map(|(window, part)| part.map(|part| (window, part))).unzip()
+}
+
+/// The classes of a person's discriminant: all count the same.
+pub(crate) fn classes(gestures: &[Gesture]) -> Vec<Class> {
+    gestures.iter().map(|gesture| Class { name: gesture.name().to_owned(), weight: 1.0 }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_gesture_counts_the_same_and_those_that_look_alike_are_named() {
+        let confusion = vec![vec![1000, 0, 0], vec![0, 50, 50], vec![0, 0, 10]];
+        let expected = Expected::of(confusion, HeldOut::Repetitions);
+        assert!((expected.accuracy - 2.5 / 3.0).abs() < 1e-12);
+        assert_eq!(expected.alike(), [(1, 2, 0.25)]);
+    }
+}

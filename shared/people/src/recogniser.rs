@@ -1,0 +1,228 @@
+//! Recognises the gestures of one person, window by window.
+//!
+//! ```text
+//! window ─┬─▶ features ─┬─▶ discriminant ─▶ probability of every gesture
+//!         │             └─▶ distance / limit ─▶ novelty
+//!         └─▶ RMS / RMS at rest ─▶ level ─▶ effort of every gesture
+//! ```
+
+use std::fmt;
+
+use tendon_features::{Discriminant, FeatureError, FitError, LaggedLogCovariance};
+use tendon_signal::FilterSettings;
+
+use crate::effort::{EffortRange, level};
+use crate::person::{Person, SignalFit};
+
+/// Recognises gestures. Once made, it allocates nothing.
+#[derive(Clone, Debug)]
+pub struct PersonalRecogniser {
+    window_length: usize,
+    covariance: LaggedLogCovariance,
+    discriminant: Discriminant,
+    distance_limit: f64,
+    rest_rms: Vec<f64>,
+    ranges: Vec<EffortRange>,
+    features: Vec<f64>,
+    whitened: Vec<f64>,
+    posterior: Vec<f64>,
+    probabilities: Vec<f32>,
+    efforts: Vec<f32>,
+}
+
+/// What is recognised in a window. Gestures are in the order of the person's, rest first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Recognition<'a> {
+    /// Probability of every gesture; the sum is 1.
+    pub probabilities: &'a [f32],
+    /// How hard it is made if it is this gesture, from 0 (the person's rest) to 1 (a comfortable contraction). 0 for rest.
+    pub efforts: &'a [f32],
+    /// Distance to the nearest gesture over the person's limit: above 1, the window is unlike anything in the
+    /// calibration.
+    pub novelty: f32,
+}
+
+/// Why a window cannot be recognised.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RecogniseError {
+    /// It makes no features.
+    #[error(transparent)]
+    Features(#[from] FeatureError),
+    /// The features cannot be used.
+    #[error(transparent)]
+    Discriminant(#[from] FitError),
+}
+
+impl PersonalRecogniser {
+    /// The recogniser of `person` for windows that begin `increment_samples` after one another.
+    ///
+    /// # Errors
+    ///
+    /// None with a person that was fitted or read from a file.
+    pub fn new(person: &Person, increment_samples: usize) -> Result<PersonalRecogniser, FeatureError> {
+        let covariance = person.features()?.with_increment(person.signal.window_samples, increment_samples);
+        let (features, gestures) = (covariance.feature_count(), person.gestures.len());
+        Ok(PersonalRecogniser {
+            window_length: person.signal.window_length(),
+            covariance,
+            discriminant: person.fitted.discriminant.clone(),
+            distance_limit: person.fitted.distance_limit,
+            rest_rms: person.rest_rms(),
+            ranges: person.gestures.iter().map(|gesture| gesture.effort).collect(),
+            features: vec![0.0; features],
+            whitened: vec![0.0; features],
+            posterior: vec![0.0; gestures],
+            probabilities: vec![0.0; gestures],
+            efforts: vec![0.0; gestures],
+        })
+    }
+
+    /// Recognises the window that begins at `first_sample` of a stream, channel-major. What was computed for the windows
+    /// before it is used again.
+    ///
+    /// # Errors
+    ///
+    /// The window has another length than the person's, or samples that are not finite.
+    pub fn recognise(
+        &mut self,
+        window: &[f32],
+        first_sample: u64,
+    ) -> Result<Recognition<'_>, RecogniseError> {
+        self.check_length(window)?;
+        self.covariance.compute_next(window, first_sample, &mut self.features)?;
+        self.decide(window)
+    }
+
+    /// As [`recognise`](Self::recognise) for a window that is not part of a stream.
+    ///
+    /// # Errors
+    ///
+    /// As [`recognise`](Self::recognise).
+    pub fn recognise_alone(&mut self, window: &[f32]) -> Result<Recognition<'_>, RecogniseError> {
+        self.check_length(window)?;
+        self.covariance.compute(window, &mut self.features)?;
+        self.decide(window)
+    }
+
+    fn check_length(&self, window: &[f32]) -> Result<(), FeatureError> {
+        if window.len() == self.window_length {
+            return Ok(());
+        }
+        Err(FeatureError::Length { given: window.len(), needed: self.window_length })
+    }
+
+    /// Looks at the features that have been computed.
+    fn decide(&mut self, window: &[f32]) -> Result<Recognition<'_>, RecogniseError> {
+        self.discriminant.posterior(&self.features, &mut self.posterior)?;
+        let distance = self.discriminant.distance(&self.features, &mut self.whitened)?;
+        let level = level(window, &self.rest_rms);
+        for (narrow, wide) in self.probabilities.iter_mut().zip(&self.posterior) {
+            *narrow = *wide as f32;
+        }
+        // Rest stays at 0.
+        for (effort, range) in self.efforts.iter_mut().zip(&self.ranges).skip(1) {
+            *effort = range.effort(level) as f32;
+        }
+        Ok(Recognition {
+            probabilities: &self.probabilities,
+            efforts: &self.efforts,
+            novelty: (distance / self.distance_limit) as f32,
+        })
+    }
+}
+
+/// The signal that a session, or a recording, offers to a person's recogniser.
+#[derive(Clone, Copy, Debug)]
+pub struct SignalOffer<'a> {
+    /// Who offers it, in messages: `the session`.
+    pub source: &'static str,
+    /// Number of channels.
+    pub channels: usize,
+    /// Their names; `None` if the source has none.
+    pub channel_names: Option<&'a [String]>,
+    /// Sampling rate, Hz.
+    pub sample_rate_hz: f64,
+    /// Unit of the samples; empty if it is not known.
+    pub unit: &'a str,
+    /// Samples of a channel in a window.
+    pub window_samples: usize,
+    /// The filter before the window; `None` if it is not known.
+    pub filter: Option<&'a FilterSettings>,
+}
+
+/// Something in which an offer differs from what a person was fitted to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// What differs.
+    pub what: &'static str,
+    /// What the person was calibrated with.
+    pub person: String,
+    /// Who offers something else.
+    pub source: &'static str,
+    /// What that is.
+    pub has: String,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Difference { what, person, source, has } = self;
+        write!(out, "{what}: calibrated with {person}, {source} has {has}")
+    }
+}
+
+impl Person {
+    /// Everything in which `offer` differs from the signal that the person was fitted to. The increment may differ.
+    pub fn differences(&self, offer: &SignalOffer<'_>) -> Vec<Difference> {
+        let SignalFit { channels, sample_rate_hz, unit, window_samples, filter, .. } = &self.signal;
+        let mut differences = Vec::new();
+        let mut compare = |what, same: bool, person: String, has: String| {
+            if !same {
+                differences.push(Difference { what, person, source: offer.source, has });
+            }
+        };
+        match offer.channel_names {
+            Some(names) if names.len() == offer.channels => {
+                compare("channels", names == channels, channels.join(", "), names.join(", "));
+            }
+            _ => {
+                let person = format!("{} ({})", channels.len(), channels.join(", "));
+                compare("channels", channels.len() == offer.channels, person, offer.channels.to_string());
+            }
+        }
+        let hz = |rate_hz: &f64| format!("{rate_hz} Hz");
+        compare(
+            "sampling rate",
+            *sample_rate_hz == offer.sample_rate_hz,
+            hz(sample_rate_hz),
+            hz(&offer.sample_rate_hz),
+        );
+        // A unit that nobody knows cannot be compared.
+        let is_known = !unit.is_empty() && !offer.unit.is_empty();
+        compare("unit", !is_known || unit == offer.unit, unit.clone(), offer.unit.to_owned());
+        let samples = |samples: &usize| format!("{samples} samples");
+        compare(
+            "window",
+            *window_samples == offer.window_samples,
+            samples(window_samples),
+            samples(&offer.window_samples),
+        );
+        if let (Some(own), Some(theirs)) = (filter, offer.filter) {
+            for ((what, own), (_, theirs)) in filter_values(own).into_iter().zip(filter_values(theirs)) {
+                compare(what, own == theirs, own, theirs);
+            }
+        }
+        differences
+    }
+}
+
+/// Every setting of a filter in words.
+fn filter_values(filter: &FilterSettings) -> [(&'static str, String); 4] {
+    let FilterSettings { notch_hz, notch_quality, band_pass_hz: [low, high], band_pass_order } = filter;
+    let notch = notch_hz.map_or_else(|| "no notch".to_owned(), |hz| format!("a notch at {hz} Hz"));
+    [
+        ("notch", notch),
+        ("width of the notch", format!("quality {notch_quality}")),
+        ("band-pass", format!("{low} to {high} Hz")),
+        ("order of the band-pass", band_pass_order.to_string()),
+    ]
+}

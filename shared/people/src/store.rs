@@ -1,0 +1,165 @@
+//! Where this user keeps people: a folder each, which nobody else may enter.
+//!
+//! ```text
+//! $XDG_DATA_HOME/tendon/people       else ~/.local/share/tendon/people
+//!   anna/person.toml
+//!   anna/…                           the recordings of the calibration
+//! ```
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use tendon_paths::{PathError, PrivateFolder, data_folder};
+
+use crate::file::PersonFileError;
+use crate::name::PersonName;
+use crate::person::Person;
+
+/// A person's file in their folder.
+const FILE: &str = "person.toml";
+
+/// All people of this user.
+#[derive(Debug)]
+pub struct People {
+    folder: PrivateFolder,
+}
+
+/// Why a person cannot be kept or found.
+#[derive(Debug, thiserror::Error)]
+pub enum PeopleError {
+    /// A folder cannot be used.
+    #[error(transparent)]
+    Path(#[from] PathError),
+    /// Nobody of this name.
+    #[error(
+        "there is no person `{name}`{}: calibrate with `tendon calibrate {name}`, or name a person file",
+        known(.people)
+    )]
+    Unknown {
+        /// The name asked for.
+        name: PersonName,
+        /// The people there are.
+        people: Vec<PersonName>,
+    },
+    /// Somebody has this name.
+    #[error(
+        "there is a person `{name}` already: take another name, correct that one with `tendon calibrate {name} \
+         --update`, or remove {}",
+        folder.display()
+    )]
+    Exists {
+        /// The name.
+        name: PersonName,
+        /// Their folder.
+        folder: PathBuf,
+    },
+    /// The person's file cannot be used.
+    #[error(transparent)]
+    File(#[from] PersonFileError),
+    /// The people cannot be listed.
+    #[error("cannot list {}", path.display())]
+    List {
+        /// The folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+}
+
+fn known(people: &[PersonName]) -> String {
+    if people.is_empty() {
+        return " (there is nobody yet)".to_owned();
+    }
+    let names: Vec<&str> = people.iter().map(PersonName::as_str).collect();
+    format!(", only {}", names.join(", "))
+}
+
+impl People {
+    /// Opens this user's people; the folder is made if it is not there.
+    ///
+    /// # Errors
+    ///
+    /// [`PeopleError::Path`] if there is no home, or the folder cannot be trusted.
+    pub fn open() -> Result<People, PeopleError> {
+        People::at(&data_folder()?.path().join("people"))
+    }
+
+    /// Opens the people in a folder; it is made if it is not there.
+    ///
+    /// # Errors
+    ///
+    /// [`PeopleError::Path`] if the folder cannot be trusted.
+    pub fn at(folder: &Path) -> Result<People, PeopleError> {
+        Ok(People { folder: PrivateFolder::open(folder)? })
+    }
+
+    /// Where a person is kept.
+    pub fn folder_of(&self, name: &PersonName) -> PathBuf {
+        self.folder.path().join(name.as_str())
+    }
+
+    /// A person's file.
+    pub fn file_of(&self, name: &PersonName) -> PathBuf {
+        self.folder_of(name).join(FILE)
+    }
+
+    /// The names of all who have a person file, in order. What else lies in the folder is passed over.
+    ///
+    /// # Errors
+    ///
+    /// [`PeopleError::Path`] if the folder cannot be read.
+    pub fn names(&self) -> Result<Vec<PersonName>, PeopleError> {
+        let mut names: Vec<PersonName> =
+            self.folder.names()?.into_iter().filter_map(|name| PersonName::try_from(name).ok()).collect();
+        names.retain(|name| self.file_of(name).exists());
+        names.sort();
+        Ok(names)
+    }
+
+    /// Reads a person.
+    ///
+    /// # Errors
+    ///
+    /// Nobody of that name, or what is wrong with the file.
+    pub fn find(&self, name: &PersonName) -> Result<Person, PeopleError> {
+        let file = self.file_of(name);
+        if !file.exists() {
+            return Err(PeopleError::Unknown { name: name.clone(), people: self.names()? });
+        }
+        Ok(Person::read(&file)?)
+    }
+
+    /// Refuses a name that somebody has.
+    ///
+    /// # Errors
+    ///
+    /// [`PeopleError::Exists`].
+    pub fn check_new(&self, name: &PersonName) -> Result<(), PeopleError> {
+        if self.file_of(name).exists() {
+            return Err(PeopleError::Exists { name: name.clone(), folder: self.folder_of(name) });
+        }
+        Ok(())
+    }
+
+    /// Keeps somebody new.
+    ///
+    /// # Errors
+    ///
+    /// There is somebody of that name, or the file cannot be written.
+    pub fn add(&self, person: &Person) -> Result<PathBuf, PeopleError> {
+        self.check_new(&person.name)?;
+        self.replace(person)
+    }
+
+    /// Keeps a person in place of the one that has their name, if there is one. Returns the file. After a crash it holds
+    /// the old person or the new one.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be written.
+    pub fn replace(&self, person: &Person) -> Result<PathBuf, PeopleError> {
+        let folder = PrivateFolder::open(&self.folder_of(&person.name))?;
+        folder.write(FILE, person.to_text().as_bytes())?;
+        Ok(folder.path().join(FILE))
+    }
+}
