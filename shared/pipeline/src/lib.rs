@@ -136,9 +136,10 @@ impl Pipeline {
         chain.push_block(block, |chain, window, _| {
             chain.write_window(samples);
             let recognition = recogniser.recognise(samples, window.first_sample)?;
-            let probabilities = recognition.probabilities;
             let decision = decider.decide(&Evidence {
-                probabilities,
+                probabilities: recognition.probabilities,
+                efforts: recognition.efforts,
+                novelty: recognition.novelty,
                 moving: window.activity == Activity::Move,
                 intact: window.replaced_samples == 0,
                 captured_ns: (window.first_sample as f64 * 1e9 / settings.sample_rate_hz) as u64,
