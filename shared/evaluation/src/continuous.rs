@@ -85,7 +85,9 @@ pub struct Step {
     pub gesture: Gesture,
     /// The gesture acted on: what the arm was told. Rest where the strategy was unsure.
     pub told: Gesture,
-    /// How fast the arm was told to move, mm/s.
+    /// Whether the arm was told to move or turn.
+    pub moves: bool,
+    /// How fast it was told to move, mm/s.
     pub speed_mm_per_s: f64,
     /// Whether the gripper was told to open or close.
     pub toggles_gripper: bool,
@@ -98,6 +100,7 @@ pub struct Step {
 pub struct StrategyTally {
     sample_rate_hz: f64,
     increment_samples: usize,
+    gripper_gestures: Vec<Gesture>,
     per_gesture: BTreeMap<Gesture, GestureWindows>,
     per_repetition: Vec<RepetitionScores>,
     mistaken: BTreeMap<Gesture, BTreeMap<Gesture, u64>>,
@@ -137,11 +140,17 @@ struct Rest {
 }
 
 impl StrategyTally {
-    /// Nothing yet; samples are at this rate, and a window begins this many samples after the one before it.
-    pub fn new(sample_rate_hz: f64, increment_samples: usize) -> StrategyTally {
+    /// Nothing yet. Samples are at this rate, a window begins this many samples after the one before it, and these
+    /// gestures open and close the gripper.
+    pub fn new(
+        sample_rate_hz: f64,
+        increment_samples: usize,
+        gripper_gestures: Vec<Gesture>,
+    ) -> StrategyTally {
         StrategyTally {
             sample_rate_hz,
             increment_samples,
+            gripper_gestures,
             per_gesture: BTreeMap::new(),
             per_repetition: Vec::new(),
             mistaken: BTreeMap::new(),
@@ -193,12 +202,12 @@ impl StrategyTally {
         let inside = steps.iter().filter(|step| cue.has_newest_of(step) && !step.calibrates);
         let windows = inside.clone().count() as u64;
         self.windows += windows;
-        if gesture == Gesture::GRIP {
+        if self.gripper_gestures.contains(&gesture) {
             self.grips += 1;
             self.grips_answered += u64::from(inside.clone().any(|step| step.toggles_gripper));
         } else {
             self.windows_without_grip += windows;
-            self.false_activations += inside.filter(|step| is_false_toggle(step, cues)).count() as u64;
+            self.false_activations += inside.filter(|step| self.is_false_toggle(step, cues)).count() as u64;
         }
     }
 
@@ -216,7 +225,7 @@ impl StrategyTally {
             self.response.windows += 1;
             self.response.correct += u64::from(is_correct);
             self.response.wrong_gesture += u64::from(is_wrong_gesture);
-            if is_wrong_gesture && step.speed_mm_per_s > 0.0 {
+            if is_wrong_gesture && step.moves {
                 self.response.wrong_direction += 1;
                 self.wrong_motion_mm += step.speed_mm_per_s * self.increment_s();
             }
@@ -268,7 +277,7 @@ impl StrategyTally {
             if cues.last().is_some_and(|cue| cue.asked == Asked::Nothing) {
                 self.windows += 1;
                 self.windows_without_grip += 1;
-                self.false_activations += u64::from(is_false_toggle(step, cues));
+                self.false_activations += u64::from(self.is_false_toggle(step, cues));
             }
             self.direction_changes += u64::from(direction.changes_with(step));
         }
@@ -344,6 +353,16 @@ impl StrategyTally {
         }
     }
 
+    /// Whether the gripper moves though the window shows no gesture of the gripper that was asked for.
+    fn is_false_toggle(&self, step: &Step, cues: &[CuePart]) -> bool {
+        let is_shown = |cue: &CuePart| step.first_sample < cue.end && step.end_sample > cue.start;
+        let is_asked = |cue: &CuePart| match cue.asked {
+            Asked::Gesture(gesture) => self.gripper_gestures.contains(&gesture),
+            _ => false,
+        };
+        step.toggles_gripper && !cues.iter().any(|cue| is_asked(cue) && is_shown(cue))
+    }
+
     fn ms(&self, samples: u64) -> f64 {
         samples as f64 * 1e3 / self.sample_rate_hz
     }
@@ -361,17 +380,10 @@ struct Direction(Option<Gesture>);
 impl Direction {
     /// Whether this command sends the arm from one direction into another.
     fn changes_with(&mut self, step: &Step) -> bool {
-        let now = Some(step.told).filter(|told| ![Gesture::REST, Gesture::GRIP].contains(told));
+        let now = step.moves.then_some(step.told);
         let before = std::mem::replace(&mut self.0, now);
         before.is_some() && now.is_some() && before != now
     }
-}
-
-/// Whether the gripper moves though the window shows no grip that was asked for.
-fn is_false_toggle(step: &Step, cues: &[CuePart]) -> bool {
-    let is_grip = |cue: &&CuePart| cue.asked == Asked::Gesture(Gesture::GRIP);
-    let shows = |grip: &CuePart| step.first_sample < grip.end && step.end_sample > grip.start;
-    step.toggles_gripper && !cues.iter().filter(is_grip).any(shows)
 }
 
 #[cfg(test)]

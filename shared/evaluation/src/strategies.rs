@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use tendon_classifier::Recogniser;
 use tendon_dataset::{DatasetSettings, Recording, RecordingEntry, cut};
-use tendon_gesture::{Gesture, Strategy};
+use tendon_gesture::{Action, DecisionSettings, Gesture, Strategy};
 use tendon_pipeline::{Pipeline, PipelineError, PipelineSettings};
 use tendon_recordings::{Channel, RecordingError, ReplayBlock, ReplayStream, Segment};
 
@@ -147,8 +147,7 @@ pub fn score_strategy(
     people: &[PersonRecordings],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<StrategyScores, StrategyError> {
-    let increment_samples = pipeline.settings().signal.windows.increment_samples;
-    let mut tally = StrategyTally::new(settings.sample_rate_hz, increment_samples);
+    let mut tally = tally(pipeline.settings());
     let total = people.iter().map(|person| person.recordings.len()).sum();
     let mut done = 0;
     for person in people {
@@ -159,6 +158,18 @@ pub fn score_strategy(
         score_person(pipeline, settings, person, &mut tally, &mut on_recording)?;
     }
     Ok(tally.scores())
+}
+
+/// A tally of what a pipeline with these settings does.
+fn tally(settings: &PipelineSettings) -> StrategyTally {
+    let DecisionSettings { gestures, modes, .. } = &settings.decision;
+    let works_gripper =
+        |gesture: &Gesture| modes.iter().any(|mode| mode.actions.get(gesture) == Some(&Action::Gripper));
+    StrategyTally::new(
+        settings.sample_rate_hz,
+        settings.signal.windows.increment_samples,
+        gestures.iter().filter(works_gripper).collect(),
+    )
 }
 
 /// Scores the strategy of `pipeline` on one person. `on_recording` is called before each recording.
@@ -256,13 +267,15 @@ fn run(
             let first_sample = step.window.first_sample;
             let end_sample = first_sample + window_samples;
             let overlaps = |range: &Range<u64>| range.start < end_sample && range.end > first_sample;
+            let twist = step.decision.twist;
             steps.push(Step {
                 first_sample,
                 end_sample,
                 calibrates: calibrated.iter().any(overlaps),
                 gesture: step.decision.gesture,
                 told: step.decision.voted,
-                speed_mm_per_s: step.decision.velocity_mm_per_s.iter().map(|v| v * v).sum::<f64>().sqrt(),
+                moves: twist.iter().any(|velocity| *velocity != 0.0),
+                speed_mm_per_s: twist[..3].iter().map(|velocity| velocity * velocity).sum::<f64>().sqrt(),
                 toggles_gripper: step.decision.toggles_gripper,
                 work_ns: step.work_ns,
             });
