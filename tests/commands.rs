@@ -355,11 +355,13 @@ fn all_three_strategies_are_scored_on_continuous_recordings() {
     for strategy in ["threshold", "two_stage", "direct"] {
         let scores = &scores["strategies"][strategy];
         assert_eq!(scores["repetitions"], 1, "{scores:#}");
-        // 6 s of rest, 3 s of extension, 3 s of grip.
-        assert_eq!(scores["scored_s"], 12.0, "{scores:#}");
-        // Rest counts from 500 ms on: (6000 - 500 - 300) / 75 and one.
-        assert_eq!(scores["per_gesture"]["rest"]["windows"], 70, "{scores:#}");
+        // 6 s of rest, of which 5 s calibrate, 3 s of extension, 3 s of grip: (2000 - 600) / 150 windows and one, and
+        // 40 of each movement.
+        assert_eq!(scores["scored_s"], 0.075 * 90.0, "{scores:#}");
+        assert_eq!(scores["per_gesture"]["rest"]["windows"], 10, "{scores:#}");
+        assert_eq!(scores["rest_scored_s"], 0.075 * 10.0, "{scores:#}");
         assert!(scores["window_start_to_command_ms"]["mean"].as_f64().unwrap() > 300.0, "{scores:#}");
+        assert!(scores["rest_taken_for_movement_share"].is_number(), "{scores:#}");
     }
     // The activity detector hears that nobody moves.
     let at_rest = &scores["strategies"]["threshold"]["per_gesture"]["rest"];

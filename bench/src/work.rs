@@ -207,7 +207,14 @@ fn decision() -> anyhow::Result<Work> {
         // A gesture holds for ten windows.
         probabilities[repetition / 10 % Gesture::PAPER.len()] = 0.8;
         let captured_ns = repetition as u64 * 75_000_000;
-        let evidence = Evidence { probabilities: &probabilities, moving: true, intact: true, captured_ns };
+        let evidence = Evidence {
+            probabilities: &probabilities,
+            efforts: &[1.0; Gesture::PAPER.len()],
+            novelty: 0.0,
+            moving: true,
+            intact: true,
+            captured_ns,
+        };
         stopwatch.time(|| decider.decide(black_box(&evidence)));
     }
     Ok(stopwatch.work(Stage::Decision, "decide upon a window", None))

@@ -4,9 +4,10 @@
 use std::process::ExitCode;
 
 use anyhow::ensure;
-use tendon_gesture::{Decider, Evidence, GestureSet};
+use tendon_gesture::{Decider, Evidence, Frame, Gesture};
 use tendon_messages::{
     Activity, COMMANDS, CommandHeader, Measured, PREDICTIONS, PredictionHeader, Stage, TWIST_LENGTH,
+    TwistFrame,
 };
 use tendon_process::{Consumer, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber};
@@ -17,7 +18,6 @@ fn main() -> ExitCode {
         let delivery = config.delivery();
         let decision = Decision {
             decider: Decider::new(&config.decision)?,
-            gestures: config.decision.gestures.clone(),
             commands: Publisher::open(
                 &process.session,
                 &COMMANDS,
@@ -38,7 +38,6 @@ fn main() -> ExitCode {
 
 struct Decision {
     decider: Decider,
-    gestures: GestureSet,
     commands: Publisher<CommandHeader, f32>,
     increment_samples: u64,
     /// Index of the last window's first sample.
@@ -57,15 +56,14 @@ impl Consumer<PredictionHeader, f32> for Decision {
     ) -> anyhow::Result<Measured> {
         let context = prediction.header().context;
         let trace = prediction.trace();
-        let payload = prediction.payload();
+        let gestures = self.decider.gestures().len();
         ensure!(
-            payload.len() == 2 * self.gestures.len(),
-            "a prediction of {} values, but the session has {} gestures: start all processes with the same \
+            prediction.payload().len() == 2 * gestures,
+            "a prediction of {} numbers, but the session has {gestures} gestures: start all processes with the same \
              configuration",
-            payload.len(),
-            self.gestures.len()
+            prediction.payload().len()
         );
-        let probabilities = &payload[..self.gestures.len()];
+        let (probabilities, efforts) = prediction.payload().split_at(gestures);
         // Windows are missing, whoever left them out: votes from before say nothing about now.
         let follows = |last: u64| context.first_sample == last + self.increment_samples;
         if self.last_first_sample.is_some_and(|last| !follows(last)) {
@@ -77,15 +75,18 @@ impl Consumer<PredictionHeader, f32> for Decision {
             self.decider.restart();
             return Ok(process.measure(&trace, None));
         }
-        let number = |gesture| {
-            self.gestures.number(gesture).expect("the decider decides among the session's gestures")
-        };
         let outcome = self.decider.decide(&Evidence {
             probabilities,
+            efforts,
+            novelty: prediction.header().novelty,
             moving: Activity::from_number(context.activity) == Activity::Move,
             intact: context.replaced_samples == 0,
             captured_ns: sample_time_ns(process, context.first_sample),
         });
+        let number = |gesture: Gesture| {
+            let number = self.decider.gestures().number(gesture);
+            number.expect("the decider decides among the session's gestures")
+        };
         self.gripper_toggles = self.gripper_toggles.wrapping_add(outcome.toggles_gripper.into());
         let header = CommandHeader {
             trace,
@@ -94,10 +95,15 @@ impl Consumer<PredictionHeader, f32> for Decision {
             gesture: number(outcome.gesture),
             voted: number(outcome.voted),
             gripper_toggles: self.gripper_toggles,
+            frame: match outcome.frame {
+                Frame::Base => TwistFrame::Base.number(),
+                Frame::Tool => TwistFrame::Tool.number(),
+            },
+            mode: outcome.mode as u8,
+            is_unsure: outcome.is_unsure.into(),
         };
         let published_ns = self.commands.publish(header, TWIST_LENGTH, |twist| {
-            twist.fill(0.0);
-            for (component, velocity) in twist.iter_mut().zip(outcome.velocity_mm_per_s) {
+            for (component, velocity) in twist.iter_mut().zip(outcome.twist) {
                 *component = velocity as f32;
             }
         })?;

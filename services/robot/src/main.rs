@@ -100,8 +100,16 @@ fn control_settings(config: &Config) -> ControlSettings {
         start_speed_rad_per_s: config.robot.xarm.start_speed_deg_per_s.to_radians(),
         needs_calibration: config.decision.strategy == Strategy::Threshold,
         increment_samples: config.dsp.windows.increment_samples as u64,
+        rest_windows: rest_windows(config),
         stale_ns: (config.delivery() == Delivery::Live).then_some(STALE_NS),
     }
+}
+
+/// Windows in a row that are a rest: three, and no less than 200 ms however often windows come.
+fn rest_windows(config: &Config) -> u32 {
+    const SHORTEST_REST_S: f64 = 0.2;
+    let increment_s = config.dsp.windows.increment_samples as f64 / config.acquisition.sample_rate_hz;
+    ((SHORTEST_REST_S / increment_s).ceil() as u32).max(3)
 }
 
 /// Makes this process the only one on this machine, of whatever user, that drives the arm at this address.

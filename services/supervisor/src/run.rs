@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tendon_config::Config;
-use tendon_gesture::GestureSet;
+use tendon_gesture::DecisionSettings;
 use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
 use tendon_output::OutputErrors;
@@ -182,7 +182,7 @@ fn watch_until_the_end(
         if let Some(gesture) = task.as_mut().and_then(TaskRun::new_gesture) {
             watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: 1.0 });
         }
-        terminal.errors.show(&line(watch, &config.decision.gestures, task.as_ref()));
+        terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
         if turn == Turn::Over || is_over {
             return Ok(());
@@ -190,11 +190,11 @@ fn watch_until_the_end(
     }
 }
 
-fn line(watch: &Watch<'_>, gestures: &GestureSet, task: Option<&TaskRun>) -> String {
+fn line(watch: &Watch<'_>, decision: &DecisionSettings, task: Option<&TaskRun>) -> String {
     let task = task.map_or(String::new(), TaskRun::live);
     live_line(
         watch.elapsed(),
-        gestures,
+        decision,
         watch.observer().newest_state(),
         watch.standstill().as_deref(),
         &task,

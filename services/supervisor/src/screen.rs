@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tendon_gesture::{Gesture, GestureSet};
+use tendon_gesture::{DecisionSettings, Gesture};
 use tendon_messages::{ArmPhase, Hindrance, Permission, Stage, StateHeader, StopReason};
 use tendon_observer::State;
 use tendon_session::{is_found_waiting, stop_words};
@@ -10,6 +10,8 @@ use tendon_session::{is_found_waiting, stop_words};
 /// What the keys do, for the person at them.
 pub const KEYS: &str = "keys: space STOP, a arm again, q quit";
 
+/// What stands for the gesture when it is not clear which one is made.
+const UNSURE: &str = "unsure";
 /// What stands for a value that is not known yet.
 const UNKNOWN: &str = "-";
 
@@ -18,7 +20,7 @@ const UNKNOWN: &str = "-";
 /// which stage makes no progress.
 pub fn live_line(
     elapsed: Duration,
-    gestures: &GestureSet,
+    decision: &DecisionSettings,
     state: Option<&State>,
     standstill: Option<&str>,
     task: &str,
@@ -28,7 +30,13 @@ pub fn live_line(
         None => format!("{}waiting for the arm's first report  ", troubled(standstill)),
     };
     let commanded = state.map(|state| &state.header).filter(|header| header.trace.captured_ns > 0);
-    let gesture = commanded.map(|header| gestures.get(header.gesture).unwrap_or(Gesture::REST));
+    let gesture = commanded.map(|header| match header.is_unsure {
+        0 => decision.gestures.get(header.gesture).unwrap_or(Gesture::REST).to_string(),
+        _ => UNSURE.to_owned(),
+    });
+    let mode = commanded.and_then(|header| decision.modes.get(usize::from(header.mode)));
+    let mode =
+        mode.filter(|_| decision.modes.len() > 1).map_or(String::new(), |mode| format!("  [{}]", mode.name));
     let latency_us = commanded.map(|header| {
         let command_ns = header.trace.published_ns[Stage::Decision.index()];
         command_ns.saturating_sub(header.trace.captured_ns) as f32 / 1e3
@@ -37,10 +45,10 @@ pub fn live_line(
     let position_mm = state.map(State::position_mm).filter(|position_mm| *position_mm != [0.0; 3]);
     let [x, y, z] = [0, 1, 2].map(|axis| number(position_mm.map(|position_mm| position_mm[axis]), 1));
     format!(
-        "{standing}{:6.1} s  {:<9} {:>3} %{task}  x {x:>6}  y {y:>6}  z {z:>6} mm  gripper {:>3}  sample to command \
+        "{standing}{:6.1} s{mode}  {:<9} {:>3} %{task}  x {x:>6}  y {y:>6}  z {z:>6} mm  gripper {:>3}  sample to command \
          {:>5} us",
         elapsed.as_secs_f64(),
-        gesture.as_ref().map_or(UNKNOWN, Gesture::name),
+        gesture.as_deref().unwrap_or(UNKNOWN),
         number(commanded.map(|header| 100.0 * header.confidence), 0),
         number(state.map(|state| state.header.gripper_position), 0),
         number(latency_us, 0),
@@ -103,7 +111,7 @@ mod tests {
     use super::*;
 
     fn line_of(state: Option<State>, standstill: Option<&str>) -> String {
-        live_line(Duration::from_secs(3), &GestureSet::default(), state.as_ref(), standstill, "")
+        live_line(Duration::from_secs(3), &DecisionSettings::default(), state.as_ref(), standstill, "")
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The velocity of the flange that a command asks for.
 
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{UnitQuaternion, Vector3, Vector6};
 
 /// Velocity of the flange in the base frame: of its origin along, and about, the axes x, y and z.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -46,6 +46,15 @@ impl Twist {
     /// Angular speed in rad/s.
     pub fn angular_speed_rad_per_s(&self) -> f64 {
         Vector3::from(self.angular_rad_per_s).norm()
+    }
+
+    /// This twist of a frame that is turned by `rotation`, in the frame that it is turned from.
+    pub fn rotated(&self, rotation: &UnitQuaternion<f64>) -> Twist {
+        let rotated = |vector: [f64; 3]| (rotation * Vector3::from(vector)).into();
+        Twist {
+            linear_mm_per_s: rotated(self.linear_mm_per_s),
+            angular_rad_per_s: rotated(self.angular_rad_per_s),
+        }
     }
 
     /// The same direction at `factor` times the speed.

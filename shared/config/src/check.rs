@@ -2,6 +2,7 @@
 //!
 //! Ranges that concern one section stand in the library that the section belongs to.
 
+use tendon_arm::ANGULAR_SPEED_LIMIT_RAD_PER_S;
 use tendon_transport::Delivery;
 
 use crate::{Backend, Config, ConfigError, Source};
@@ -52,7 +53,15 @@ impl Config {
 
     /// Refuses a speed that the arm would not keep.
     fn check_speed(&self) -> Result<(), ConfigError> {
-        let (speed, limit) = (self.decision.speed_mm_per_s, self.robot.arm.linear_speed_limit_mm_per_s);
+        let (fastest_mm_per_s, fastest_deg_per_s) = self.decision.fastest();
+        let limit_deg_per_s = ANGULAR_SPEED_LIMIT_RAD_PER_S.to_degrees();
+        if fastest_deg_per_s > limit_deg_per_s {
+            let remedy =
+                format!("the arm turns no faster than {limit_deg_per_s:.0} deg/s: take a lower speed");
+            return refuse("decision.rotation_speed_deg_per_s", fastest_deg_per_s, remedy);
+        }
+        let limit = self.robot.arm.linear_speed_limit_mm_per_s;
+        let speed = fastest_mm_per_s.max(self.decision.speed_mm_per_s);
         if speed > limit {
             let remedy = format!(
                 "the arm goes no faster than robot.arm.linear_speed_limit_mm_per_s = {limit}: take a lower speed, or \

@@ -11,7 +11,7 @@ mod state;
 mod watch;
 
 use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Twist, XArm7};
-use tendon_messages::{CommandHeader, Permission, StateHeader, StopReason, TWIST_LENGTH, Trace};
+use tendon_messages::{CommandHeader, Permission, StateHeader, StopReason, TWIST_LENGTH, Trace, TwistFrame};
 
 use crate::answer::{ArmAnswer, StopAnswer};
 use crate::arm::{Arm, ArmReport, Drive, Link, Stop};
@@ -40,6 +40,8 @@ pub struct ControlSettings {
     pub needs_calibration: bool,
     /// Samples from one window to the next.
     pub increment_samples: u64,
+    /// Windows in a row that must say rest before the arm moves.
+    pub rest_windows: u32,
     /// A command whose newest sample is older than this, in ns, is not acted on, and a controller that stood still for
     /// longer does not go on where it was. `None` in a lossless replay, whose time is that of the samples.
     pub stale_ns: Option<u64>,
@@ -110,7 +112,7 @@ impl Controller {
     /// permits that ([`Controller::depart`]), or waits for [`Controller::order_arm`] from the beginning because of
     /// `stopped`.
     pub fn new(arm: Box<dyn Arm>, settings: ControlSettings, stopped: Option<StopReason>) -> Controller {
-        let mut latch = Latch::new(settings.needs_calibration);
+        let mut latch = Latch::new(settings.rest_windows, settings.needs_calibration);
         if let Some(reason) = stopped {
             latch.stop(Stop::because(reason));
         }
@@ -462,7 +464,7 @@ impl Controller {
         self.tick(now_ns);
         let is_permitted = self.phase == Phase::Following && self.latch.admits(header);
         if is_permitted {
-            self.follow(twist, now_ns);
+            self.follow(twist, TwistFrame::from_number(header.frame), now_ns);
         }
         let reported_pulses = self.arm.report().gripper_pulses;
         let pulses = self.gripper.take(header.gripper_toggles, is_permitted, reported_pulses);
@@ -473,6 +475,8 @@ impl Controller {
             trace: Trace { sequence: 0, ..trace },
             gesture: header.voted,
             confidence: header.confidence,
+            mode: header.mode,
+            is_unsure: header.is_unsure,
             calibration_left_ms: if self.settings.needs_calibration {
                 context.calibration_left_ms
             } else {
@@ -483,9 +487,15 @@ impl Controller {
         Taken::Fresh
     }
 
-    fn follow(&mut self, twist: &[f32; TWIST_LENGTH], now_ns: u64) {
+    fn follow(&mut self, twist: &[f32; TWIST_LENGTH], frame: TwistFrame, now_ns: u64) {
         let [x, y, z, about_x, about_y, about_z] = twist.map(f64::from);
-        let twist = Twist { linear_mm_per_s: [x, y, z], angular_rad_per_s: [about_x, about_y, about_z] };
+        let mut twist = Twist { linear_mm_per_s: [x, y, z], angular_rad_per_s: [about_x, about_y, about_z] };
+        if frame == TwistFrame::Tool {
+            // Where the flange points is known of an arm that follows: it has reported.
+            let joints_rad = self.arm.report().joints_rad;
+            let rotation = joints_rad.map(|joints_rad| self.kinematics.flange_pose_m(&joints_rad).rotation);
+            twist = rotation.map_or(Twist::ZERO, |rotation| twist.rotated(&rotation));
+        }
         if self.arm.command(twist, now_ns).is_err() {
             // It is taken as rest; a decision process that sends such is not to be followed.
             self.stop(Stop::because(StopReason::NoCommands));

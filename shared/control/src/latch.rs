@@ -17,10 +17,6 @@ use tendon_messages::{Activity, CommandHeader, Permission, REST, StopReason};
 
 use crate::arm::Stop;
 
-/// Windows in a row that must say rest. One alone may be a mistake of the classifier, or the first of a signal chain
-/// that began anew and does not know better yet.
-pub(crate) const REST_WINDOWS: u32 = 3;
-
 /// The permission to move, and why there is none.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Latch {
@@ -28,6 +24,9 @@ pub(crate) struct Latch {
     stop: Option<Stop>,
     /// Windows in a row that said rest.
     rests: u32,
+    /// How many of them are a rest. One alone may be a mistake of the classifier, or the first of a signal chain that began
+    /// anew and does not know better yet.
+    rest_windows: u32,
     /// Whether rest is known only once the activity detector is calibrated.
     needs_calibration: bool,
 }
@@ -35,8 +34,8 @@ pub(crate) struct Latch {
 impl Latch {
     /// At the start nothing moves before the person has been at rest. `needs_calibration`: that is known only once the
     /// activity detector is calibrated.
-    pub fn new(needs_calibration: bool) -> Latch {
-        Latch { permission: Permission::AwaitRest, stop: None, rests: 0, needs_calibration }
+    pub fn new(rest_windows: u32, needs_calibration: bool) -> Latch {
+        Latch { permission: Permission::AwaitRest, stop: None, rests: 0, rest_windows, needs_calibration }
     }
 
     /// Whether the arm may follow the command of a window. What grants motion again is rest: intact windows that were
@@ -47,7 +46,7 @@ impl Latch {
             && header.context.replaced_samples == 0
             && !(self.needs_calibration && is_calibrating);
         self.rests = if is_rest { self.rests + 1 } else { 0 };
-        if self.permission == Permission::AwaitRest && self.rests >= REST_WINDOWS {
+        if self.permission == Permission::AwaitRest && self.rests >= self.rest_windows {
             *self = Latch { permission: Permission::Granted, stop: None, ..*self };
         }
         self.permission == Permission::Granted
@@ -70,7 +69,7 @@ impl Latch {
     pub fn interrupt(&mut self, reason: StopReason) {
         self.rests = 0;
         if self.permission == Permission::Granted {
-            *self = Latch { stop: Some(Stop::because(reason)), ..Latch::new(self.needs_calibration) };
+            *self = Latch { stop: Some(Stop::because(reason)), ..self.anew() };
         }
     }
 
@@ -81,7 +80,11 @@ impl Latch {
 
     /// The arm is up again: it moves with the next rest.
     pub fn arm(&mut self) {
-        *self = Latch::new(self.needs_calibration);
+        *self = self.anew();
+    }
+
+    fn anew(&self) -> Latch {
+        Latch::new(self.rest_windows, self.needs_calibration)
     }
 
     pub fn permission(&self) -> Permission {
@@ -116,6 +119,8 @@ mod tests {
 
     use super::*;
 
+    const REST_WINDOWS: u32 = 3;
+
     fn window(gesture: Gesture) -> CommandHeader {
         CommandHeader { gesture: gesture.paper_number().unwrap(), voted: REST, ..CommandHeader::default() }
     }
@@ -127,7 +132,7 @@ mod tests {
 
     #[test]
     fn nothing_moves_at_the_start_before_a_rest() {
-        let mut latch = Latch::new(false);
+        let mut latch = Latch::new(REST_WINDOWS, false);
         let damaged = WindowContext { replaced_samples: 1, ..WindowContext::default() };
         for _ in 0..10 {
             assert!(!latch.admits(&window(Gesture::FLEXION)));
@@ -145,7 +150,7 @@ mod tests {
             context: WindowContext { activity: activity as u8, ..WindowContext::default() },
             ..window(Gesture::REST)
         };
-        let mut latch = Latch::new(true);
+        let mut latch = Latch::new(REST_WINDOWS, true);
         assert!((0..10).all(|_| !latch.admits(&seen(Activity::Calibrating))));
         assert_eq!(
             (0..3).map(|_| latch.admits(&seen(Activity::Rest))).collect::<Vec<_>>(),
@@ -157,7 +162,7 @@ mod tests {
 
     #[test]
     fn an_interruption_ends_with_a_rest() {
-        let mut latch = rested(Latch::new(false));
+        let mut latch = rested(Latch::new(REST_WINDOWS, false));
         latch.interrupt(StopReason::NoCommands);
         assert_eq!(latch.reason(), Some(Stop::because(StopReason::NoCommands)));
         assert!(!latch.admits(&window(Gesture::FLEXION)));
@@ -168,7 +173,7 @@ mod tests {
 
     #[test]
     fn a_stop_ends_with_an_arm_order_and_a_rest_only() {
-        let mut latch = rested(Latch::new(false));
+        let mut latch = rested(Latch::new(REST_WINDOWS, false));
         latch.stop(Stop::because(StopReason::NotReady));
         let fault = Stop::by_fault(31);
         latch.stop(fault);

@@ -9,7 +9,9 @@ use std::slice::from_ref;
 use serde::Serialize;
 use tendon_classifier::Classifier;
 use tendon_dataset::{BuildSettings, Manifest, Recording, StoredDataset, list};
-use tendon_evaluation::{Scores, StrategyModels, StrategyScores, score_dataset, score_strategy, with_trials};
+use tendon_evaluation::{
+    Scores, StrategyModels, StrategyScores, in_words, score_dataset, score_strategy, with_trials,
+};
 use tendon_figures::write_score_figures;
 use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_output::{OutputFile, OutputFolder, collect};
@@ -309,8 +311,8 @@ impl Run<'_> {
             let mut progress =
                 |done, total| (self.on_event)(Event::Progress { done, total, things: "recordings" });
             let scores = score_strategy(&mut pipeline, &settings, &usable, &mut progress)?;
-            let share = scores.mean_correct_percent;
-            self.say(format!("strategy {}: {share:.1} % of the windows", strategy.name()));
+            let share = in_words(scores.mean_correct_percent, 1);
+            self.say(format!("strategy {}: {share} % of the windows", strategy.name()));
             results.strategies.insert(strategy.name(), scores);
         }
         Ok(first)

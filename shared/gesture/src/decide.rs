@@ -1,121 +1,30 @@
-//! From the probabilities of a window to what the arm should do (paper sections "Muscle Activation Detection
+//! From what was recognised in a window to what the arm should do (paper sections "Muscle Activation Detection
 //! Strategies" and "Simulations and Implementation on the Robotic Arm").
+//!
+//! ```text
+//! probabilities, activity ─▶ strategy ─▶ gesture ─▶ vote ─┬─▶ mode ─▶ direction ─┬─▶ twist
+//! efforts ────────────────────────────────────────────────┼──────────▶ speed ────┘
+//!                                                         └─▶ held? ─▶ gripper, next mode
+//! ```
+//!
+//! With a person, evidence summed over windows takes the place of the vote.
 
-use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
-
+use crate::belief::{Belief, Believer};
+use crate::hold::{Hold, Press};
+use crate::map::{Action, Frame};
+use crate::settings::{DecisionSettings, InvalidDecisionSetting, SpeedControl, Strategy};
+use crate::vote::Votes;
 use crate::{Gesture, GestureSet};
-
-/// How rest and movement are told apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
-#[serde(rename_all = "snake_case")]
-#[value(rename_all = "snake_case")]
-pub enum Strategy {
-    /// Strategy (a): the activity detector separates rest from movement; the classifier only decides which of
-    /// the five active gestures it is.
-    Threshold,
-    /// Strategy (b): a first classifier separates rest from movement, a second one decides which of the five
-    /// active gestures it is. The activity detector is not used.
-    #[value(alias = "two-stage")]
-    TwoStage,
-    /// Strategy (c): the classifier knows all six classes. The activity detector is not used.
-    Direct,
-    /// A recogniser that was calibrated to the person, who has gestures of their own, rest among them. The activity
-    /// detector is not used.
-    Personal,
-}
-
-impl Strategy {
-    /// The paper's, in its order.
-    pub const ALL: [Strategy; 3] = [Strategy::Threshold, Strategy::TwoStage, Strategy::Direct];
-
-    /// The name used in configuration and reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Strategy::Threshold => "threshold",
-            Strategy::TwoStage => "two_stage",
-            Strategy::Direct => "direct",
-            Strategy::Personal => "personal",
-        }
-    }
-}
-
-/// Settings of the decision stage. The defaults are the paper's, except for the speed, which the paper does
-/// not give.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DecisionSettings {
-    /// The gestures of the session, rest first.
-    pub gestures: GestureSet,
-    /// How rest and movement are told apart.
-    pub strategy: Strategy,
-    /// Windows that vote, the current one included.
-    pub vote_windows: usize,
-    /// Grips in a row that toggle the gripper.
-    pub grip_windows: u32,
-    /// Shortest time between two toggles of the gripper, in s.
-    pub grip_interval_s: f64,
-    /// Speed of the arm while a gesture is held, in mm/s.
-    pub speed_mm_per_s: f64,
-}
-
-impl Default for DecisionSettings {
-    fn default() -> Self {
-        DecisionSettings {
-            gestures: GestureSet::default(),
-            strategy: Strategy::Threshold,
-            vote_windows: 3,
-            grip_windows: 3,
-            grip_interval_s: 2.0,
-            speed_mm_per_s: 50.0,
-        }
-    }
-}
-
-/// A setting of the decision stage that cannot work.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{setting} = {value}: {remedy}")]
-pub struct InvalidDecisionSetting {
-    /// Key of the setting.
-    pub setting: &'static str,
-    /// Its value.
-    pub value: f64,
-    /// What to do.
-    pub remedy: &'static str,
-}
-
-impl DecisionSettings {
-    /// Checks the ranges.
-    ///
-    /// # Errors
-    ///
-    /// The first setting that is out of its range.
-    pub fn check(&self) -> Result<(), InvalidDecisionSetting> {
-        let invalid = |setting, value, remedy| Err(InvalidDecisionSetting { setting, value, remedy });
-        if !(1..=MAXIMUM_VOTES).contains(&self.vote_windows) {
-            return invalid("vote_windows", self.vote_windows as f64, "take 1 to 15 windows");
-        }
-        if !(1..=MAXIMUM_GRIPS).contains(&self.grip_windows) {
-            return invalid("grip_windows", f64::from(self.grip_windows), "take 1 to 100 windows");
-        }
-        if !(0.0..=60.0).contains(&self.grip_interval_s) {
-            return invalid("grip_interval_s", self.grip_interval_s, "take 0 to 60 s");
-        }
-        if !(0.0..=1000.0).contains(&self.speed_mm_per_s) {
-            return invalid("speed_mm_per_s", self.speed_mm_per_s, "take 0 to 1000 mm/s");
-        }
-        Ok(())
-    }
-}
-
-const MAXIMUM_VOTES: usize = 15;
-const MAXIMUM_GRIPS: u32 = 100;
 
 /// What is known of a window when the decision is made.
 #[derive(Clone, Copy, Debug)]
 pub struct Evidence<'a> {
     /// Probability of every gesture of the session, by class number.
     pub probabilities: &'a [f32],
+    /// How hard the contraction is if it is that gesture, by class number: 0 at rest, 1 at a comfortable contraction or above.
+    pub efforts: &'a [f32],
+    /// How unlike all gestures of the calibration the window is: above 1, it is none of them. 0 from a model that does not tell.
+    pub novelty: f32,
     /// The activity detector says that the muscles are active.
     pub moving: bool,
     /// The window is intact: none of its samples had to be replaced.
@@ -131,22 +40,28 @@ pub struct Decision {
     pub gesture: Gesture,
     /// Its probability; 1 if no classifier was asked.
     pub confidence: f32,
-    /// The gesture acted on, after the vote.
+    /// The gesture acted on, after the vote, or by the evidence so far.
     pub voted: Gesture,
-    /// Linear velocity in the arm's base frame, mm/s along x, y, z.
-    pub velocity_mm_per_s: [f64; 3],
+    /// It is not clear which gesture is made, and the arm rests for that.
+    pub is_unsure: bool,
+    /// Velocity along (mm/s) and about (rad/s) the axes x, y, z of `frame`.
+    pub twist: [f64; 6],
+    /// Whose axes.
+    pub frame: Frame,
     /// Whether to toggle the gripper. Only the robot knows whether that means open or close.
     pub toggles_gripper: bool,
+    /// The mode that is on, by its place in the settings; after a change, the new one.
+    pub mode: usize,
 }
 
-/// The decision stage: remembers the last votes and when the gripper was last toggled.
+/// The decision stage: remembers the last votes, the mode, and when the gripper was last toggled.
 #[derive(Clone, Debug)]
 pub struct Decider {
     settings: DecisionSettings,
-    votes: [Gesture; MAXIMUM_VOTES],
-    next_vote: usize,
-    grips_in_a_row: u32,
-    toggled_ns: Option<u64>,
+    votes: Votes,
+    believer: Believer,
+    hold: Hold,
+    mode: usize,
 }
 
 impl Decider {
@@ -158,39 +73,75 @@ impl Decider {
     pub fn new(settings: &DecisionSettings) -> Result<Decider, InvalidDecisionSetting> {
         settings.check()?;
         Ok(Decider {
+            votes: Votes::new(settings.vote_windows),
+            believer: Believer::new(settings.evidence),
             settings: settings.clone(),
-            votes: [Gesture::REST; MAXIMUM_VOTES],
-            next_vote: 0,
-            grips_in_a_row: 0,
-            toggled_ns: None,
+            hold: Hold::new(settings),
+            mode: 0,
         })
     }
 
     /// Decides on the next window.
     pub fn decide(&mut self, evidence: &Evidence<'_>) -> Decision {
         let (gesture, confidence) = self.recognise(evidence);
-        self.votes[self.next_vote] = gesture;
-        self.next_vote = (self.next_vote + 1) % self.settings.vote_windows;
-        let voted = majority(&self.settings.gestures, &self.votes[..self.settings.vote_windows]);
-        self.grips_in_a_row = if gesture == Gesture::GRIP { self.grips_in_a_row + 1 } else { 0 };
+        let (voted, held, is_unsure) = match self.settings.strategy {
+            Strategy::Personal => match self.believe(evidence) {
+                Belief::Clear(gesture) => (gesture, gesture, false),
+                Belief::Unsure => (Gesture::REST, Gesture::REST, true),
+            },
+            Strategy::Threshold | Strategy::TwoStage | Strategy::Direct => {
+                (self.votes.cast(&self.settings.gestures, gesture), gesture, false)
+            }
+        };
+        let press = {
+            let mode = &self.settings.modes[self.mode];
+            let action = |gesture| mode.actions.get(&gesture).copied().unwrap_or(Action::Nothing);
+            self.hold.take(&self.settings, action, held, evidence.captured_ns)
+        };
+        if press == Press::ChangesMode {
+            self.mode = (self.mode + 1) % self.settings.modes.len();
+        }
+        let effort =
+            self.settings.gestures.number(voted).map_or(0.0, |number| {
+                evidence.efforts.get(usize::from(number)).copied().unwrap_or(0.0).into()
+            });
+        let (twist, frame) = self.motion(voted, effort);
         Decision {
             gesture,
             confidence,
             voted,
-            velocity_mm_per_s: direction(voted).map(|axis| axis * self.settings.speed_mm_per_s),
-            toggles_gripper: self.toggles_gripper(evidence.captured_ns),
+            is_unsure,
+            twist,
+            frame,
+            toggles_gripper: press == Press::TogglesGripper,
+            mode: self.mode,
         }
     }
 
-    /// Discards the votes: windows are missing, so the last ones say nothing about the present.
+    /// Discards what the last windows said: windows are missing, so they say nothing about the present. The mode stays.
     pub fn restart(&mut self) {
-        self.votes = [Gesture::REST; MAXIMUM_VOTES];
-        self.grips_in_a_row = 0;
+        self.votes = Votes::new(self.settings.vote_windows);
+        self.believer = Believer::new(self.settings.evidence);
+        self.hold.restart();
+    }
+
+    /// The gestures among which it decides.
+    pub fn gestures(&self) -> &GestureSet {
+        &self.settings.gestures
+    }
+
+    /// What the windows so far say together. A damaged window says nothing: the evidence begins anew after it.
+    fn believe(&mut self, evidence: &Evidence<'_>) -> Belief {
+        if !is_usable(evidence) {
+            self.believer = Believer::new(self.settings.evidence);
+            return Belief::Clear(Gesture::REST);
+        }
+        let Evidence { probabilities, novelty, captured_ns, .. } = *evidence;
+        self.believer.take(&self.settings.gestures, probabilities, novelty, captured_ns)
     }
 
     fn recognise(&self, evidence: &Evidence<'_>) -> (Gesture, f32) {
-        let finite = evidence.probabilities.iter().all(|probability| probability.is_finite());
-        if !evidence.intact || !finite {
+        if !is_usable(evidence) {
             return (Gesture::REST, 1.0);
         }
         let first_candidate = match self.settings.strategy {
@@ -207,44 +158,43 @@ impl Decider {
             .unwrap_or((Gesture::REST, 1.0))
     }
 
-    fn toggles_gripper(&mut self, captured_ns: u64) -> bool {
-        let interval_ns = (self.settings.grip_interval_s * 1e9) as u64;
-        // A time before the last toggle comes from a source that started anew.
-        let elapsed_ns = self.toggled_ns.and_then(|toggled_ns| captured_ns.checked_sub(toggled_ns));
-        let too_soon = elapsed_ns.is_some_and(|elapsed_ns| elapsed_ns < interval_ns);
-        if self.grips_in_a_row < self.settings.grip_windows || too_soon {
-            return false;
+    /// Velocity that a gesture asks for in the present mode.
+    fn motion(&self, gesture: Gesture, effort: f64) -> ([f64; 6], Frame) {
+        let action = self.settings.modes[self.mode].actions.get(&gesture);
+        let (Some(Action::Move(motion)), false) = (action, self.hold.is_spent(gesture)) else {
+            return ([0.0; 6], Frame::Base);
+        };
+        let axis = motion.direction.axis;
+        let speed = self.settings.speed_of(motion) * self.speed_share(effort);
+        let speed = if axis.is_rotation() { speed.to_radians() } else { speed };
+        let mut twist = [0.0; 6];
+        twist[axis.index()] = if motion.direction.is_negative { -speed } else { speed };
+        (twist, motion.frame)
+    }
+
+    /// Share of the set speed: 0 within the dead zone, rising smoothly (3 x² - 2 x³) to 1 at a comfortable contraction.
+    fn speed_share(&self, effort: f64) -> f64 {
+        match self.settings.speed_control {
+            SpeedControl::Constant => 1.0,
+            SpeedControl::Proportional => {
+                let dead_zone = self.settings.effort_dead_zone;
+                // NaN, like everything below, is no effort.
+                let above = ((effort - dead_zone) / (1.0 - dead_zone)).clamp(0.0, 1.0).max(0.0);
+                above * above * (3.0 - 2.0 * above)
+            }
         }
-        self.grips_in_a_row = 0;
-        self.toggled_ns = Some(captured_ns);
-        true
     }
 }
 
-/// The gesture with more than half of the votes. Rest without such a majority, because an arm that waits does
-/// less harm than one that guesses.
-fn majority(gestures: &GestureSet, votes: &[Gesture]) -> Gesture {
-    gestures
-        .iter()
-        .find(|gesture| 2 * votes.iter().filter(|vote| *vote == gesture).count() > votes.len())
-        .unwrap_or(Gesture::REST)
-}
-
-/// Direction of motion in the arm's base frame (the paper's table of gestures).
-fn direction(gesture: Gesture) -> [f64; 3] {
-    match gesture {
-        Gesture::EXTENSION => [0.0, 0.0, 1.0],
-        Gesture::FLEXION => [0.0, 0.0, -1.0],
-        Gesture::ULNAR => [0.0, 1.0, 0.0],
-        Gesture::RADIAL => [0.0, -1.0, 0.0],
-        _ => [0.0, 0.0, 0.0],
-    }
+/// Whether a window can say anything.
+fn is_usable(evidence: &Evidence<'_>) -> bool {
+    evidence.intact && evidence.probabilities.iter().all(|probability| probability.is_finite())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::{any, prop, prop_assert, proptest};
+    use proptest::prelude::{any, prop, prop_assert, prop_assert_eq, proptest};
 
     const INCREMENT_NS: u64 = 75_000_000;
 
@@ -258,6 +208,8 @@ mod tests {
         let decide = |(index, (gesture, moving)): (usize, &(Gesture, bool))| {
             decider.decide(&Evidence {
                 probabilities: &certain(*gesture),
+                efforts: &[1.0; 6],
+                novelty: 0.0,
                 moving: *moving,
                 intact: true,
                 captured_ns: index as u64 * INCREMENT_NS,
@@ -284,7 +236,7 @@ mod tests {
             let decisions = decide_all(&mut decider, &[(gesture, true); 2]);
             assert_eq!(decisions[0].voted, Gesture::REST, "one vote of three is no majority");
             assert_eq!(decisions[1].voted, gesture);
-            assert_eq!(decisions[1].velocity_mm_per_s, velocity);
+            assert_eq!(decisions[1].twist[..3], velocity);
         }
     }
 
@@ -301,7 +253,14 @@ mod tests {
         let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
         let later = 600_000_000_000;
         let grip = certain(Gesture::GRIP);
-        let evidence = Evidence { probabilities: &grip, moving: true, intact: true, captured_ns: later };
+        let evidence = Evidence {
+            probabilities: &grip,
+            efforts: &[1.0; 6],
+            novelty: 0.0,
+            moving: true,
+            intact: true,
+            captured_ns: later,
+        };
         assert!((0..3).any(|_| decider.decide(&evidence).toggles_gripper));
         decider.restart();
         let decisions = decide_all(&mut decider, &[(Gesture::GRIP, true); 3]);
@@ -342,8 +301,14 @@ mod tests {
         for (probabilities, intact) in [(certain(Gesture::ULNAR), false), ([f32::NAN; 6], true)] {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             for _ in 0..5 {
-                let evidence =
-                    Evidence { probabilities: &probabilities, moving: true, intact, captured_ns: 0 };
+                let evidence = Evidence {
+                    probabilities: &probabilities,
+                    efforts: &[1.0; 6],
+                    novelty: 0.0,
+                    moving: true,
+                    intact,
+                    captured_ns: 0,
+                };
                 assert_eq!(decider.decide(&evidence).gesture, Gesture::REST);
             }
         }
@@ -360,13 +325,133 @@ mod tests {
         prop::collection::vec((prop::sample::select(Gesture::PAPER.to_vec()), any::<bool>()), 1..200)
     }
 
+    /// A gesture held for so many windows, then another.
+    fn held(decider: &mut Decider, row: &[(Gesture, usize)]) -> Vec<Decision> {
+        let windows: Vec<(Gesture, bool)> =
+            row.iter().flat_map(|(gesture, count)| std::iter::repeat_n((*gesture, true), *count)).collect();
+        decide_all(decider, &windows)
+    }
+
+    fn settings(modes: &str) -> DecisionSettings {
+        #[derive(serde::Deserialize)]
+        struct File {
+            modes: Vec<crate::Mode>,
+        }
+        let File { modes } = toml::from_str(modes).unwrap();
+        DecisionSettings { strategy: Strategy::Direct, modes, ..DecisionSettings::default() }
+    }
+
+    const TWO_MODES: &str = "[[modes]]\nname = \"a\"\nextension = \"+z\"\ngrip = \"gripper\"\nradial = \"next_mode\"\n\
+                             [[modes]]\nname = \"b\"\nextension = \"-pitch\"\nradial = \"+x\"\nulnar = \"next_mode\"\ngrip = \"gripper\"\n\
+                             flexion = { motion = \"+z\", frame = \"tool\", speed_mm_per_s = 20.0 }\n";
+
+    #[test]
+    fn a_gesture_changes_the_mode_once_and_moves_nothing_before_it_was_let_go() {
+        let mut decider = Decider::new(&settings(TWO_MODES)).unwrap();
+        let decisions = held(&mut decider, &[(Gesture::EXTENSION, 3), (Gesture::RADIAL, 20)]);
+        assert_eq!(decisions[2].twist, [0.0, 0.0, 50.0, 0.0, 0.0, 0.0]);
+        assert_eq!(decisions.iter().map(|decision| decision.mode).max(), Some(1));
+        assert!(decisions[6..].iter().all(|decision| decision.twist == [0.0; 6] && decision.mode == 1));
+        let decisions =
+            held(&mut decider, &[(Gesture::REST, 2), (Gesture::RADIAL, 2), (Gesture::EXTENSION, 2)]);
+        assert_eq!(decisions[3].twist, [50.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(decisions[5].twist[4], -20_f64.to_radians());
+        let decisions = held(&mut decider, &[(Gesture::FLEXION, 3), (Gesture::ULNAR, 4)]);
+        assert_eq!((decisions[2].twist[2], decisions[2].frame), (20.0, Frame::Tool));
+        assert_eq!(decisions[6].mode, 0, "after the last mode comes the first");
+    }
+
+    #[test]
+    fn a_long_grip_changes_the_mode_and_a_short_one_moves_the_gripper_when_it_ends() {
+        let settings = DecisionSettings { long_grip_s: Some(1.0), ..settings(TWO_MODES) };
+        let mut decider = Decider::new(&settings).unwrap();
+        let short = held(&mut decider, &[(Gesture::GRIP, 10), (Gesture::REST, 3)]);
+        assert_eq!(toggles(&short), [10]);
+        decider.restart();
+        let long = held(&mut decider, &[(Gesture::GRIP, 40), (Gesture::REST, 3)]);
+        assert!(toggles(&long).is_empty());
+        // 1 s are 13.3 increments.
+        assert_eq!(long.iter().position(|decision| decision.mode == 1), Some(14));
+        assert_eq!(long[42].mode, 1);
+    }
+
+    #[test]
+    fn windows_that_are_missing_end_no_grip() {
+        let settings = DecisionSettings { long_grip_s: Some(1.0), ..settings(TWO_MODES) };
+        let mut decider = Decider::new(&settings).unwrap();
+        held(&mut decider, &[(Gesture::GRIP, 10)]);
+        decider.restart();
+        assert!(toggles(&held(&mut decider, &[(Gesture::REST, 3)])).is_empty());
+    }
+
+    /// A person's gestures, every 25 ms, with this novelty.
+    fn personal(settings: &DecisionSettings, row: &[(Gesture, usize, f32)]) -> Vec<Decision> {
+        let mut decider = Decider::new(settings).unwrap();
+        let windows =
+            row.iter().flat_map(|(gesture, count, novelty)| std::iter::repeat_n((gesture, novelty), *count));
+        let decide = |(window, (gesture, novelty)): (usize, (&Gesture, &f32))| {
+            decider.decide(&Evidence {
+                probabilities: &certain(*gesture),
+                efforts: &[0.0, 0.5, 1.0, 1.0, 1.0, 1.0],
+                novelty: *novelty,
+                moving: false,
+                intact: true,
+                captured_ns: window as u64 * 25_000_000,
+            })
+        };
+        windows.enumerate().map(decide).collect()
+    }
+
+    #[test]
+    fn a_person_moves_the_arm_by_evidence_and_effort_and_unsure_windows_hold_it_still() {
+        let settings = DecisionSettings { strategy: Strategy::Personal, ..DecisionSettings::default() };
+        let rows = [(Gesture::REST, 4, 0.5), (Gesture::FLEXION, 4, 0.5), (Gesture::FLEXION, 2, 2.0)];
+        let decisions = personal(&settings, &rows);
+        assert_eq!(decisions[5].twist[2], -50.0);
+        assert!(decisions[8..].iter().all(|decision| decision.is_unsure && decision.twist == [0.0; 6]));
+        let light = personal(&settings, &[(Gesture::REST, 4, 0.5), (Gesture::EXTENSION, 4, 0.5)]);
+        assert!((10.0..30.0).contains(&light[7].twist[2]), "{:?}", light[7].twist);
+        let constant = DecisionSettings { speed_control: SpeedControl::Constant, ..settings };
+        let light = personal(&constant, &[(Gesture::REST, 4, 0.5), (Gesture::EXTENSION, 4, 0.5)]);
+        assert_eq!(light[7].twist[2], 50.0);
+    }
+
+    #[test]
+    fn a_persons_grip_moves_the_gripper_once_it_was_held_and_again_once_it_was_let_go() {
+        let settings = DecisionSettings { strategy: Strategy::Personal, ..DecisionSettings::default() };
+        let rows = [(Gesture::REST, 4, 0.5), (Gesture::GRIP, 200, 0.5)];
+        let toggled = toggles(&personal(&settings, &rows));
+        assert_eq!(toggled.len(), 1, "{toggled:?}");
+        assert!((16..20).contains(&toggled[0]), "{toggled:?}");
+        let rows = [rows[0], (Gesture::GRIP, 90, 0.5), (Gesture::REST, 20, 0.5), (Gesture::GRIP, 20, 0.5)];
+        assert_eq!(toggles(&personal(&settings, &rows)).len(), 2);
+        // A window of doubt in the middle lets go of nothing.
+        let rows = [rows[0], (Gesture::GRIP, 90, 0.5), (Gesture::GRIP, 1, 3.0), (Gesture::GRIP, 90, 0.5)];
+        assert_eq!(toggles(&personal(&settings, &rows)).len(), 1);
+    }
+
     proptest! {
+        #[test]
+        fn the_harder_the_contraction_the_faster_and_never_faster_than_set(
+            weak in -0.5_f64..1.5,
+            strong in -0.5_f64..1.5,
+            dead_zone in 0.0..0.9_f64,
+        ) {
+            let settings = DecisionSettings { effort_dead_zone: dead_zone, ..DecisionSettings::default() };
+            let decider = Decider::new(&settings).unwrap();
+            let (slow, fast) = (decider.speed_share(weak.min(strong)), decider.speed_share(weak.max(strong)));
+            prop_assert!((0.0..=1.0).contains(&slow) && slow <= fast && fast <= 1.0);
+            prop_assert!(weak > dead_zone || decider.speed_share(weak) == 0.0);
+            prop_assert_eq!(decider.speed_share(1.0), 1.0);
+            prop_assert_eq!(decider.speed_share(f64::NAN), 0.0);
+        }
+
         #[test]
         fn the_arm_moves_only_with_two_of_three_windows_and_never_faster_than_set(windows in gestures()) {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             let decisions = decide_all(&mut decider, &windows);
             for (index, decision) in decisions.iter().enumerate() {
-                let speed = decision.velocity_mm_per_s.iter().map(|v| v * v).sum::<f64>().sqrt();
+                let speed = decision.twist.iter().map(|v| v * v).sum::<f64>().sqrt();
                 prop_assert!(speed <= 50.0);
                 let recent = &decisions[index.saturating_sub(2)..=index];
                 let agreeing = recent.iter().filter(|other| other.gesture == decision.voted).count();

@@ -4,8 +4,8 @@
 //! topic         header             payload
 //! blocks        BlockHeader        f32 [channels × samples]   raw EMG as acquired
 //! windows       WindowHeader       f32 [channels × samples]   filtered EMG, the classifier's input tensor
-//! predictions   PredictionHeader   f32 [gestures]             probability of every gesture
-//! commands      CommandHeader      f32 [6]                    twist: mm/s along x y z, rad/s about x y z
+//! predictions   PredictionHeader   f32 [2 × gestures]         probability of every gesture, then effort of every gesture
+//! commands      CommandHeader      f32 [6]                    twist: mm/s along x y z, rad/s about x y z, of base or tool
 //! states        StateHeader        f32 [7 + 6]                joints (rad), then position (mm) and roll pitch yaw (rad)
 //! measurements  MeasurementHeader  Measurement [n]            what one process measured of its messages
 //! ```
@@ -239,9 +239,9 @@ numbered! {
     } otherwise Calibrating
 }
 
-/// Header of a prediction; payload `f32 [2 x gestures]`: the probability of every gesture of the session by class number,
-/// 0 for those the model does not know; then the effort of every gesture, how hard it is made if it is this one, 0 to 1,
-/// and 1 where nothing tells.
+/// Header of a prediction; payload `f32 [2 × gestures]`: the probability of every gesture of the session by class number, 0
+/// for those the model does not know; then how hard the contraction is if it is that gesture, from 0 at rest to 1 at a
+/// comfortable contraction, 1 if the model does not tell.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
 pub struct PredictionHeader {
@@ -249,11 +249,11 @@ pub struct PredictionHeader {
     pub trace: Trace,
     /// The window that was classified.
     pub context: WindowContext,
-    /// How unlike the person's calibration the window is; above 1, it is like nothing in it. 0 from a network.
+    /// How unlike all gestures of the calibration the window is: above 1, it is none of them. 0 from a model that does not tell.
     pub novelty: f32,
 }
 
-/// Header of a command; payload `f32 [6]`, the twist in the arm's base frame: mm/s along x, y, z, then
+/// Header of a command; payload `f32 [6]`, the twist in the frame that the header names: mm/s along x, y, z, then
 /// rad/s about x, y, z.
 #[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
 #[repr(C)]
@@ -271,6 +271,22 @@ pub struct CommandHeader {
     pub gripper_toggles: u32,
     /// Class number of the gesture acted on, after the vote.
     pub voted: u8,
+    /// Whose axes the twist is along and about: a [`TwistFrame`] as number.
+    pub frame: u8,
+    /// The mode that is on: its place among the modes of the settings.
+    pub mode: u8,
+    /// 1 if it is not clear which gesture is made, and the arm rests for that.
+    pub is_unsure: u8,
+}
+
+numbered! {
+    /// Whose axes a twist is along and about, as it travels in [`CommandHeader::frame`].
+    pub enum TwistFrame {
+        /// Those of the arm's base.
+        Base = 0,
+        /// Those of the flange.
+        Tool = 1,
+    } otherwise Base
 }
 
 /// Length of a command's payload.
@@ -307,4 +323,8 @@ pub struct StateHeader {
     pub start_distance_mm: f32,
     /// How much more rest the activity detector needs, ms; 0 where the strategy does not need it, or it is calibrated.
     pub calibration_left_ms: u32,
+    /// The mode that is on: its place among the modes of the settings.
+    pub mode: u8,
+    /// 1 if it is not clear which gesture is made, and the arm rests for that.
+    pub is_unsure: u8,
 }

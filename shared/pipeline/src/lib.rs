@@ -95,7 +95,24 @@ impl Pipeline {
         &self.recogniser
     }
 
-    /// Goes back to the start, for another recording: resets filters, calibration and votes.
+    /// How many more samples the activity detector's calibration needs; 0 once it is over.
+    pub fn calibration_left_samples(&self) -> usize {
+        self.chain.calibration_left_samples()
+    }
+
+    /// Goes back to the start for another recording of the same person: resets filters and votes, but not what the
+    /// activity detector's calibration has measured.
+    ///
+    /// # Errors
+    /// None that [`Pipeline::new`] has not given before.
+    pub fn next_recording(&mut self) -> Result<(), PipelineError> {
+        let calibrated = self.chain.clone();
+        self.restart()?;
+        self.chain.take_calibration(&calibrated);
+        Ok(())
+    }
+
+    /// Goes back to the start, for another person: resets filters, calibration and votes.
     ///
     /// # Errors
     /// None that [`Pipeline::new`] has not given before.
@@ -119,9 +136,10 @@ impl Pipeline {
         chain.push_block(block, |chain, window, _| {
             chain.write_window(samples);
             let recognition = recogniser.recognise(samples, window.first_sample)?;
-            let probabilities = recognition.probabilities;
             let decision = decider.decide(&Evidence {
-                probabilities,
+                probabilities: recognition.probabilities,
+                efforts: recognition.efforts,
+                novelty: recognition.novelty,
                 moving: window.activity == Activity::Move,
                 intact: window.replaced_samples == 0,
                 captured_ns: (window.first_sample as f64 * 1e9 / settings.sample_rate_hz) as u64,

@@ -164,3 +164,27 @@ fn a_twist_that_is_no_number_stops_the_arm() {
     rig.pass(250);
     assert_eq!((rig.speed(), rig.permission()), (0.0, Permission::Stopped));
 }
+
+#[test]
+fn a_motion_in_the_tools_frame_goes_where_the_flange_points() {
+    let mut rig = Rig::at_start();
+    rig.pass(300);
+    rig.rest(3);
+    rig.frame = TwistFrame::Tool;
+    let pose = |rig: &Rig| XArm7::new().flange_pose_m(&rig.arm.0.borrow().joints_rad);
+    let before = pose(&rig);
+    rig.hold(Gesture::ULNAR, &SIDEWAYS, 4);
+    let moved_m = before.rotation.inverse() * (pose(&rig).translation.vector - before.translation.vector);
+    assert!(moved_m.y > 0.015, "{moved_m}");
+    assert!(moved_m.x.abs() < 1e-4 && moved_m.z.abs() < 1e-4, "{moved_m}");
+    let in_base = Twist { linear_mm_per_s: [0.0, 1.0, 0.0], ..Twist::ZERO }.rotated(&before.rotation);
+    assert!((in_base.linear_mm_per_s[1] - 1.0).abs() > 0.1, "the frames differ: {in_base:?}");
+    rig.rest(4);
+    // About the flange's own z axis: it turns, and stays where it is.
+    let before = pose(&rig);
+    rig.hold(Gesture::ULNAR, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.3], 4);
+    let turned = (before.rotation.inverse() * pose(&rig).rotation).scaled_axis();
+    assert!(turned.z > 0.04 && turned.x.abs() < 1e-3 && turned.y.abs() < 1e-3, "{turned}");
+    assert!((pose(&rig).translation.vector - before.translation.vector).norm() < 1e-4);
+    assert_eq!(rig.permission(), Permission::Granted, "{:?}", rig.reason());
+}

@@ -11,6 +11,8 @@ use tendon_messages::{Activity, ArmPhase, Hindrance, WindowContext};
 use super::*;
 use crate::fake::FakeArm;
 
+const REST_WINDOWS: u32 = 3;
+
 const MS: u64 = 1_000_000;
 const INCREMENT_MS: u64 = 76;
 const UP: [f32; TWIST_LENGTH] = [0.0, 0.0, 100.0, 0.0, 0.0, 0.0];
@@ -24,6 +26,7 @@ fn settings() -> ControlSettings {
         start_speed_rad_per_s: 10.0_f64.to_radians(),
         needs_calibration: false,
         increment_samples: 150,
+        rest_windows: REST_WINDOWS,
         stale_ns: Some(100 * MS),
     }
 }
@@ -37,6 +40,7 @@ struct Rig {
     sequence: u64,
     first_sample: u64,
     gripper_toggles: u32,
+    frame: TwistFrame,
     context: WindowContext,
 }
 
@@ -52,6 +56,7 @@ impl Rig {
             sequence: 0,
             first_sample: 0,
             gripper_toggles: 0,
+            frame: TwistFrame::Base,
             context: WindowContext { activity: Activity::Rest as u8, ..WindowContext::default() },
         }
     }
@@ -92,6 +97,7 @@ impl Rig {
             gesture: gesture.paper_number().unwrap(),
             voted: gesture.paper_number().unwrap(),
             gripper_toggles: self.gripper_toggles,
+            frame: self.frame.number(),
             ..CommandHeader::default()
         };
         self.sequence += 1;
