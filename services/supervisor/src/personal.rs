@@ -9,7 +9,7 @@ use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
 use tendon_gesture::{GestureSet, Strategy};
 use tendon_people::{People, Person, PersonName, SignalOffer};
-use tendon_recordings::Channel;
+use tendon_recordings::{Channel, RecordedSession};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
 
 use crate::options::Base;
@@ -42,6 +42,18 @@ pub fn dataset_settings(
         fallback_ms: MOVEMENT_BEGINS_MS,
         rest_start_ms: MOVEMENT_BEGINS_MS,
         ..default
+    }
+}
+
+/// The same for what `tendon calibrate` recorded: all of its channels, and its trials as they are.
+pub fn recorded_settings(config: &Config, recorded: &RecordedSession) -> DatasetSettings {
+    let settings = dataset_settings(config, &[], Some(recorded.sample_rate_hz));
+    DatasetSettings {
+        channels: recorded.channels.iter().cloned().map(Channel::Name).collect(),
+        // The labels leave out the time in which the person reacts.
+        fallback_ms: 0.0,
+        rest_start_ms: 0.0,
+        ..settings
     }
 }
 

@@ -142,6 +142,11 @@ impl Guide {
         }
     }
 
+    /// Nothing more is asked until [`Guide::go_on`].
+    pub fn wait(&mut self) {
+        self.phase = Phase::Waiting;
+    }
+
     /// The trial that is asked for now, or ended last, is to be done once more; waits for [`Guide::go_on`]. Returns it;
     /// what was labelled of it does not count any more. `None` before there is one.
     pub fn redo(&mut self) -> Option<Trial> {
@@ -214,14 +219,12 @@ impl Guide {
     }
 
     fn begin(&mut self, start: u64) {
-        if let Some(&trial) = self.to_do.front() {
-            let pause = self.samples(self.pause_s(trial));
-            self.phase = if pause == 0 {
-                Phase::Hold { start, end: start + self.samples(self.hold_s(trial)) }
-            } else {
-                Phase::Pause { start, end: start + pause }
-            };
-        }
+        let pause_s = self.to_do.front().map(|&trial| (trial, self.pause_s(trial)));
+        self.phase = match pause_s {
+            None => Phase::Waiting,
+            Some((trial, 0.0)) => Phase::Hold { start, end: start + self.samples(self.hold_s(trial)) },
+            Some((_, pause_s)) => Phase::Pause { start, end: start + self.samples(pause_s) },
+        };
     }
 
     /// The rest of a pause before `trial`, if it is long enough.
@@ -354,6 +357,9 @@ mod tests {
         assert_eq!(guide.redo(), Some(grip), "in the pause after it");
         let (spans, _) = follow(&mut guide, 70_000, 10);
         assert_eq!(spans.iter().filter(|span| span.ends_trial).count(), 4);
+        assert!(guide.is_over());
+        assert_eq!(guide.redo().map(|trial| trial.repetition), Some(1), "the very last one, too");
+        assert!(!guide.is_over());
     }
 
     proptest! {
