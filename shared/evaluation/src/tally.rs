@@ -97,7 +97,8 @@ impl Tally {
             None => self.confusion.record_unanswered(truth),
         }
         // As scikit-learn's log_loss: no single window weighs infinitely.
-        let probability = predicted.map_or(0.0, |_| probabilities[truth]).clamp(f32::EPSILON, 1.0 - f32::EPSILON);
+        let probability =
+            predicted.map_or(0.0, |_| probabilities[truth]).clamp(f32::EPSILON, 1.0 - f32::EPSILON);
         self.loss_sum -= f64::from(probability).ln();
         let is_correct = predicted == Some(truth);
         self.people.entry(origin.person).or_default().add(is_correct);
@@ -146,9 +147,7 @@ mod tests {
         let mut tally = Tally::new(&classes);
         let origin = Origin { person: 1, repetition: 0 };
         // All of rest, which is class 0.
-        for probabilities in
-            [[f32::NAN; 2], [f32::NAN, 1.0], [0.5, f32::INFINITY], [0.9, 0.1]]
-        {
+        for probabilities in [[f32::NAN; 2], [f32::NAN, 1.0], [0.5, f32::INFINITY], [0.9, 0.1]] {
             tally.record(0, origin, Answer { probabilities: &probabilities, work_ns: 1 });
         }
         let evaluation = Evaluation::of(&tally);
