@@ -13,10 +13,12 @@
 use serde::{Deserialize, Serialize};
 
 use crate::settings::InvalidDecisionSetting;
-use crate::{Gesture, GestureSet};
+use crate::{Evidence, Gesture, GestureSet};
 
 /// Smallest probability that counts: a single window must not rule out a gesture for long.
 const SMALLEST_PROBABILITY: f64 = 1e-4;
+/// No gesture begins with less effort than this: it is rest that looks like a gesture.
+const SMALLEST_EFFORT: f32 = 0.05;
 
 /// When a gesture is clear enough. Found on continuous recordings of fifteen people: docs/decisions/evidence.md.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,7 +26,7 @@ const SMALLEST_PROBABILITY: f64 = 1e-4;
 pub struct EvidenceSettings {
     /// A window counts 1/e times as much after so long, ms.
     pub memory_ms: f64,
-    /// Lead with which a gesture begins: 0.7 is odds of 2 to 1.
+    /// Lead with which a gesture begins: 0.65 is odds of 1.9 to 1.
     pub enter_lead: f64,
     /// Lead below which it is no longer clear, and the arm holds still.
     pub stay_lead: f64,
@@ -34,7 +36,7 @@ pub struct EvidenceSettings {
 
 impl Default for EvidenceSettings {
     fn default() -> EvidenceSettings {
-        EvidenceSettings { memory_ms: 36.0, enter_lead: 0.7, stay_lead: 0.2, hold_ms: 300.0 }
+        EvidenceSettings { memory_ms: 36.0, enter_lead: 0.65, stay_lead: 0.2, hold_ms: 300.0 }
     }
 }
 
@@ -92,14 +94,9 @@ impl Believer {
         }
     }
 
-    /// Takes the posterior of a window, by class number, all finite. `novelty` above 1 is no gesture of the calibration.
-    pub(crate) fn take(
-        &mut self,
-        gestures: &GestureSet,
-        probabilities: &[f32],
-        novelty: f32,
-        captured_ns: u64,
-    ) -> Belief {
+    /// Takes a window whose probabilities are all finite.
+    pub(crate) fn take(&mut self, gestures: &GestureSet, window: &Evidence<'_>) -> Belief {
+        let Evidence { probabilities, efforts, novelty, captured_ns, .. } = *window;
         let elapsed_ns = self.before_ns.replace(captured_ns).map(|before| captured_ns.saturating_sub(before));
         let kept = elapsed_ns
             .map_or(0.0, |elapsed_ns| (-(elapsed_ns as f64) * 1e-6 / self.settings.memory_ms).exp());
@@ -108,16 +105,18 @@ impl Believer {
             *evidence = kept * *evidence + (1.0 - kept) * new;
         }
         let count = probabilities.len().min(gestures.len());
-        let best = (0..count).max_by(|a, b| self.evidence[*a].total_cmp(&self.evidence[*b])).unwrap_or(0);
-        let best = gestures.get(best as u8).unwrap_or(Gesture::REST);
+        let number = (0..count).max_by(|a, b| self.evidence[*a].total_cmp(&self.evidence[*b])).unwrap_or(0);
+        let best = gestures.get(number as u8).unwrap_or(Gesture::REST);
         let is_known = novelty <= 1.0;
         if let Belief::Clear(gesture) = self.belief {
-            let is_clear = is_known && self.lead(gestures, count, gesture) >= self.settings.stay_lead;
+            let is_clear = is_known && self.lead(gestures, gesture) >= self.settings.stay_lead;
             if gesture != Gesture::REST && !is_clear {
                 self.belief = Belief::Unsure;
             }
         }
-        let is_entered = is_known && self.lead(gestures, count, best) >= self.settings.enter_lead;
+        let is_entered = is_known
+            && self.lead(gestures, best) >= self.settings.enter_lead
+            && efforts.get(number).is_some_and(|effort| *effort >= SMALLEST_EFFORT);
         self.belief = match self.belief {
             Belief::Clear(gesture) if gesture == best => self.belief,
             _ if best != Gesture::REST && is_entered => Belief::Clear(best),
@@ -128,8 +127,9 @@ impl Believer {
         self.belief
     }
 
-    /// Evidence of a gesture less that of the best other one.
-    fn lead(&self, gestures: &GestureSet, count: usize, gesture: Gesture) -> f64 {
+    /// How clear a gesture is: its evidence less that of the best other one.
+    pub(crate) fn lead(&self, gestures: &GestureSet, gesture: Gesture) -> f64 {
+        let count = gestures.len();
         let number = gestures.number(gesture).map_or(0, usize::from);
         let others = self.evidence[..count].iter().enumerate().filter(|(other, _)| *other != number);
         let best_other = others.map(|(_, evidence)| *evidence).fold(f64::NEG_INFINITY, f64::max);
@@ -152,11 +152,16 @@ mod tests {
         posterior
     }
 
+    fn evidence(probabilities: &[f32; 6], novelty: f32, window: usize) -> Evidence<'_> {
+        let captured_ns = window as u64 * INCREMENT_NS;
+        Evidence { probabilities, efforts: &[1.0; 6], novelty, moving: false, intact: true, captured_ns }
+    }
+
     /// What is believed after each of these windows.
     fn beliefs(believer: &mut Believer, windows: &[([f32; 6], f32)]) -> Vec<Belief> {
         let gestures = GestureSet::default();
         let take = |(window, (posterior, novelty)): (usize, &([f32; 6], f32))| {
-            believer.take(&gestures, posterior, *novelty, window as u64 * INCREMENT_NS)
+            believer.take(&gestures, &evidence(posterior, *novelty, window))
         };
         windows.iter().enumerate().map(take).collect()
     }
@@ -196,6 +201,17 @@ mod tests {
         assert_eq!(believed, [Belief::Unsure, Belief::Clear(Gesture::GRIP), Belief::Unsure]);
     }
 
+    #[test]
+    fn no_gesture_begins_without_effort_but_it_stays_through_a_weak_window() {
+        let (gestures, grip) = (GestureSet::default(), posterior(Gesture::GRIP, 0.99));
+        let mut believer = Believer::new(EvidenceSettings::default());
+        let weak =
+            |window| Evidence { efforts: &[0.0, 0.0, 0.0, 0.0, 0.0, 0.04], ..evidence(&grip, 0.5, window) };
+        assert_eq!(believer.take(&gestures, &weak(0)), Belief::Unsure);
+        assert_eq!(believer.take(&gestures, &evidence(&grip, 0.5, 1)), Belief::Clear(Gesture::GRIP));
+        assert_eq!(believer.take(&gestures, &weak(2)), Belief::Clear(Gesture::GRIP));
+    }
+
     proptest! {
         #[test]
         fn only_what_leads_and_is_like_the_calibration_is_believed(
@@ -206,9 +222,9 @@ mod tests {
             let mut believer = Believer::new(settings);
             for (window, (posterior, novelty)) in windows.into_iter().enumerate() {
                 let before = believer.belief;
-                let belief = believer.take(&gestures, &posterior, novelty, window as u64 * INCREMENT_NS);
+                let belief = believer.take(&gestures, &evidence(&posterior, novelty, window));
                 let Belief::Clear(gesture) = belief else { continue };
-                let lead = believer.lead(&gestures, 6, gesture);
+                let lead = believer.lead(&gestures, gesture);
                 prop_assert!(gesture == Gesture::REST || novelty <= 1.0);
                 let needed = match (gesture, belief == before) {
                     (Gesture::REST, _) => 0.0,
