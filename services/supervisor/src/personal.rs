@@ -45,6 +45,17 @@ pub fn dataset_settings(
     }
 }
 
+/// How the recordings that calibrate a person are cut: as [`dataset_settings`], but from the onset of each movement, so that
+/// its beginning is learnt, too.
+pub fn calibration_settings(
+    config: &Config,
+    channels: &[usize],
+    recording_rate_hz: Option<f64>,
+) -> DatasetSettings {
+    let onset = DatasetSettings::default().onset;
+    DatasetSettings { onset, ..dataset_settings(config, channels, recording_rate_hz) }
+}
+
 /// The configuration with a person's windows, unless others are asked for.
 pub fn personal_windows(config: Config, base: &Base) -> Config {
     if base.sets("dsp.windows") || config.dsp.windows != WindowSettings::default() {
