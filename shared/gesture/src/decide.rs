@@ -87,20 +87,16 @@ impl Decider {
     /// Decides on the next window.
     pub fn decide(&mut self, evidence: &Evidence<'_>) -> Decision {
         let (gesture, confidence) = self.recognise(evidence);
-        let (voted, held, is_unsure) = match self.settings.strategy {
+        let (voted, held) = match self.settings.strategy {
             Strategy::Personal => match self.believe(evidence) {
-                Belief::Clear(gesture) => (gesture, gesture, false),
-                Belief::Unsure => (Gesture::REST, Gesture::REST, true),
+                Belief::Clear(gesture) => (gesture, Some(gesture)),
+                Belief::Unsure => (Gesture::REST, None),
             },
             Strategy::Threshold | Strategy::TwoStage | Strategy::Direct => {
-                (self.votes.cast(&self.settings.gestures, gesture), gesture, false)
+                (self.votes.cast(&self.settings.gestures, gesture), Some(gesture))
             }
         };
-        let press = {
-            let mode = &self.settings.modes[self.mode];
-            let action = |gesture| mode.actions.get(&gesture).copied().unwrap_or(Action::Nothing);
-            self.hold.take(&self.settings, action, held, evidence.captured_ns)
-        };
+        let press = self.press(held, evidence.captured_ns);
         if press == Press::ChangesMode {
             self.mode = (self.mode + 1) % self.settings.modes.len();
         }
@@ -113,7 +109,7 @@ impl Decider {
             gesture,
             confidence,
             voted,
-            is_unsure,
+            is_unsure: held.is_none(),
             twist,
             frame,
             toggles_gripper: press == Press::TogglesGripper,
@@ -131,6 +127,17 @@ impl Decider {
     /// The gestures among which it decides.
     pub fn gestures(&self) -> &GestureSet {
         &self.settings.gestures
+    }
+
+    /// What a gesture does once it is held; `None` where it is not clear which one is made.
+    fn press(&mut self, gesture: Option<Gesture>, captured_ns: u64) -> Press {
+        let Some(gesture) = gesture else {
+            self.hold.doubt(&self.settings, captured_ns);
+            return Press::Nothing;
+        };
+        let mode = &self.settings.modes[self.mode];
+        let action = |gesture| mode.actions.get(&gesture).copied().unwrap_or(Action::Nothing);
+        self.hold.take(&self.settings, action, gesture, captured_ns)
     }
 
     /// What the windows so far say together. A damaged window says nothing: the evidence begins anew after it.

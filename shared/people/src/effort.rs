@@ -18,9 +18,8 @@ const REST_SHARE: f64 = 0.95;
 /// Share of the windows of a gesture that are weaker than its comfortable contraction, which is effort 1. Of a contraction
 /// from light to firm and back, it is the one in the middle.
 const COMFORTABLE_SHARE: f64 = 0.5;
-/// A comfortable contraction is at least so many times as strong as rest: a gesture that was hardly made must not make a
-/// twitch full effort.
-const SMALLEST_RATIO: f64 = 1.2;
+/// A comfortable contraction that is less than so many times as strong as rest says nothing of effort.
+const SMALLEST_RATIO: f64 = 1.3;
 
 /// From which level to which a gesture goes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,12 +52,20 @@ impl EffortRange {
         let range = EffortRange { channel_weights, rest: 0.0, comfortable: 0.0 };
         let levels = |windows: &[Vec<f64>]| windows.iter().map(|rms| range.level(rms)).collect::<Vec<f64>>();
         let resting = quantile(&levels(rest), REST_SHARE);
-        let comfortable = quantile(&levels(gesture), COMFORTABLE_SHARE).max(SMALLEST_RATIO * resting);
+        let comfortable = quantile(&levels(gesture), COMFORTABLE_SHARE);
         EffortRange { rest: resting, comfortable, ..range }
     }
 
-    /// The effort of a window with this RMS of every channel, from 0 to 1.
+    /// Whether the gesture is so much stronger than rest that its strength says something.
+    pub fn is_usable(&self) -> bool {
+        self.comfortable >= SMALLEST_RATIO * self.rest && self.comfortable > self.rest
+    }
+
+    /// The effort of a window with this RMS of every channel, from 0 to 1; 1 if the range is not usable.
     pub fn effort(&self, rms: &[f64]) -> f64 {
+        if !self.is_usable() {
+            return 1.0;
+        }
         ((self.level(rms) - self.rest) / (self.comfortable - self.rest)).clamp(0.0, 1.0)
     }
 
@@ -70,7 +77,8 @@ impl EffortRange {
         self.channel_weights.len() == channels
             && self.channel_weights.iter().all(|weight| (0.0..=1.0).contains(weight))
             && self.rest >= 0.0
-            && self.rest < self.comfortable
+            && self.rest.is_finite()
+            && self.comfortable >= 0.0
             && self.comfortable.is_finite()
     }
 }
@@ -124,11 +132,12 @@ mod tests {
     }
 
     #[test]
-    fn a_gesture_as_weak_as_rest_still_has_a_range() {
+    fn the_effort_of_a_gesture_as_weak_as_rest_says_nothing() {
         let (rest, _) = ramp();
         let range = EffortRange::of(&rest, &rest);
         assert!(range.is_valid(3), "{range:?}");
-        assert_eq!(range.effort(&rest[0]), 0.0);
+        assert!(!range.is_usable());
+        assert_eq!(range.effort(&rest[0]), 1.0);
     }
 
     #[test]
