@@ -28,7 +28,7 @@ use tendon_recordings::RecordedSession;
 use crate::Failure;
 use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{checked, left_out, print};
-use crate::personal::{dataset_settings, personal_windows, recorded_settings, shipped_prior};
+use crate::personal::{calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
 
 use check::CheckScores;
@@ -182,7 +182,7 @@ fn settings_of(
     let recorded = paths.first().map_or(Ok(None), |path| RecordedSession::read(path))?;
     let Some(recorded) = recorded.filter(|_| options.channels.is_empty()) else {
         let channels = if options.channels.is_empty() { &DEFAULT_CHANNELS } else { &options.channels[..] };
-        return Ok((dataset_settings(config, channels, options.recording_rate_hz), None));
+        return Ok((calibration_settings(config, channels, options.recording_rate_hz), None));
     };
     Ok((recorded_settings(config, &recorded), Some(recorded)))
 }

@@ -16,6 +16,11 @@ use crate::options::Base;
 
 /// A movement counts from here on, ms after its cue: by then everybody has followed it.
 const MOVEMENT_BEGINS_MS: f64 = 1200.0;
+/// Where the onset of a gesture that `tendon calibrate` recorded is looked for, ms from the beginning of its trial, which is
+/// half a second before the cue.
+const RECORDED_ONSET_MS: [f64; 2] = [400.0, 1500.0];
+/// Where none is found, the movement counts from here on, ms.
+const RECORDED_FALLBACK_MS: f64 = 1000.0;
 /// Windows of a person where nobody asks for others, ms: long enough to be sure, short enough to be quick.
 const WINDOW_MS: f64 = 150.0;
 /// From one such window to the next, ms.
@@ -45,13 +50,25 @@ pub fn dataset_settings(
     }
 }
 
-/// The same for what `tendon calibrate` recorded: all of its channels, and its trials as they are.
+/// How the recordings that calibrate a person are cut: as [`dataset_settings`], but from the onset of each movement, so that
+/// its beginning is learnt, too.
+pub fn calibration_settings(
+    config: &Config,
+    channels: &[usize],
+    recording_rate_hz: Option<f64>,
+) -> DatasetSettings {
+    let onset = DatasetSettings::default().onset;
+    DatasetSettings { onset, ..dataset_settings(config, channels, recording_rate_hz) }
+}
+
+/// The same for what `tendon calibrate` recorded: all of its channels; a trial of a gesture begins half a second before its
+/// cue, and a rest is rest throughout.
 pub fn recorded_settings(config: &Config, recorded: &RecordedSession) -> DatasetSettings {
-    let settings = dataset_settings(config, &[], Some(recorded.sample_rate_hz));
+    let settings = calibration_settings(config, &[], Some(recorded.sample_rate_hz));
     DatasetSettings {
         channels: recorded.channels.iter().cloned().map(Channel::Name).collect(),
-        // The labels leave out the time in which the person reacts.
-        fallback_ms: 0.0,
+        onset: OnsetSettings { search_ms: RECORDED_ONSET_MS, ..settings.onset.clone() },
+        fallback_ms: RECORDED_FALLBACK_MS,
         rest_start_ms: 0.0,
         ..settings
     }
@@ -62,13 +79,17 @@ pub fn personal_windows(config: Config, base: &Base) -> Config {
     if base.sets("dsp.windows") || config.dsp.windows != WindowSettings::default() {
         return config;
     }
-    let rate_hz = config.acquisition.sample_rate_hz;
     let mut config = config;
-    config.dsp.windows = WindowSettings {
-        window_samples: samples_of_ms(WINDOW_MS, rate_hz),
-        increment_samples: samples_of_ms(INCREMENT_MS, rate_hz),
-    };
+    config.dsp.windows = window_settings(config.acquisition.sample_rate_hz);
     config
+}
+
+/// A person's windows where nobody asks for others.
+pub fn window_settings(sample_rate_hz: f64) -> WindowSettings {
+    WindowSettings {
+        window_samples: samples_of_ms(WINDOW_MS, sample_rate_hz),
+        increment_samples: samples_of_ms(INCREMENT_MS, sample_rate_hz),
+    }
 }
 
 fn samples_of_ms(ms: f64, rate_hz: f64) -> usize {

@@ -53,6 +53,16 @@ impl Report<'_> {
             }
         }
         for results in self.results {
+            let people =
+                |people: &[u16]| people.iter().map(ToString::to_string).collect::<Vec<String>>().join(", ");
+            let trained = results.datasets.values().next().map(|manifest| &manifest.split.train_people[..]);
+            writeln!(
+                self.text,
+                "- {}: scored on people {}; models are trained on people {}.",
+                results.source,
+                people(&results.tested_people),
+                people(trained.unwrap_or_default())
+            )?;
             for missing in &results.missing {
                 writeln!(self.text, "- {}: {missing}.", results.source)?;
             }
