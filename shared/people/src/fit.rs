@@ -60,9 +60,9 @@ impl Person {
             blocks: &blocks,
         };
         let discriminant = Discriminant::fit(&training, prior, method)?;
-        let (validation, expected) = cross_validate(calibration, &training, prior, method)?;
+        let (validation, expected) = cross_validate(calibration, &training, &discriminant, prior, method)?;
         let discriminant = discriminant.with_temperature(validation.temperature(method))?;
-        let of_parts = expected.held_out == HeldOut::PartsOfOneRepetition;
+        let of_parts = expected.held_out != HeldOut::Repetitions;
         let distance_limit =
             validation.distance_at(DISTANCE_SHARE) * if of_parts { DISTANCE_OF_PARTS } else { 1.0 };
         let prior_people = prior.map_or_else(Vec::new, |prior| prior.people().to_vec());
