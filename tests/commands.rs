@@ -355,11 +355,13 @@ fn all_three_strategies_are_scored_on_continuous_recordings() {
     for strategy in ["threshold", "two_stage", "direct"] {
         let scores = &scores["strategies"][strategy];
         assert_eq!(scores["repetitions"], 1, "{scores:#}");
-        // 6 s of rest, 3 s of extension, 3 s of grip.
-        assert_eq!(scores["scored_s"], 12.0, "{scores:#}");
-        // Rest counts from 500 ms on: (6000 - 500 - 300) / 75 and one.
-        assert_eq!(scores["per_gesture"]["rest"]["windows"], 70, "{scores:#}");
+        // 6 s of rest, of which 5 s calibrate, 3 s of extension, 3 s of grip: (2000 - 600) / 150 windows and one, and
+        // 40 of each movement.
+        assert_eq!(scores["scored_s"], 0.075 * 90.0, "{scores:#}");
+        assert_eq!(scores["per_gesture"]["rest"]["windows"], 10, "{scores:#}");
+        assert_eq!(scores["rest_scored_s"], 0.075 * 10.0, "{scores:#}");
         assert!(scores["window_start_to_command_ms"]["mean"].as_f64().unwrap() > 300.0, "{scores:#}");
+        assert!(scores["rest_taken_for_movement_share"].is_number(), "{scores:#}");
     }
     // The activity detector hears that nobody moves.
     let at_rest = &scores["strategies"]["threshold"]["per_gesture"]["rest"];
@@ -401,6 +403,28 @@ fn experiments_report_on_the_models_that_are_there() {
         serde_json::from_str(&std::fs::read_to_string(out.join("report.json")).unwrap()).unwrap();
     assert_eq!(json[0]["source"], "3DC");
     assert!(json[0]["models"]["cnn-raw"][0]["windows"].as_u64().unwrap() > 0, "{json:#}");
+
+    // Once more into the same folder, with somebody held out whom the models were trained on.
+    write_three_dc(&recordings.join("Participant1/train/EMG"));
+    let command = TendonBuilder::command(&unique_session(), &["experiments", "--no-training", "--no-live"]);
+    let command = command.args(&["--three-dc-test-people", "1", "--three-dc"]).arg(&recordings);
+    let ended = command.arg("--out").arg(&out).end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    let report = std::fs::read_to_string(out.join("report.md")).unwrap();
+    for part in [
+        "3DC: scored on people 1; models are trained on people ",
+        "cnn-raw-30epochs-seed0 is not scored: it was trained on 1, who are held out: train it anew",
+        "the strategies need the models five-gesture, rest-move and cnn-raw, trained on nobody who is held out",
+    ] {
+        assert!(report.contains(part), "`{part}` is not in {report}");
+    }
+    let json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(out.join("report.json")).unwrap()).unwrap();
+    assert_eq!(json[0]["tested_people"], serde_json::json!([1]));
+    assert_eq!(json[0]["datasets"]["raw"]["split"]["test_people"], serde_json::json!([1]));
+    for scores in ["models", "strategies"] {
+        assert_eq!(json[0][scores], serde_json::json!({}), "{json:#}");
+    }
 
     let nothing = TendonBuilder::command(&unique_session(), &["experiments"]).end();
     nothing.assert_failed(2, &["--three-dc FOLDER", "scripts/fetch-data"]);

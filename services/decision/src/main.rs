@@ -100,7 +100,7 @@ impl Consumer<PredictionHeader, f32> for Decision {
                 Frame::Tool => TwistFrame::Tool.number(),
             },
             mode: outcome.mode as u8,
-            is_unsure: 0,
+            is_unsure: outcome.is_unsure.into(),
         };
         let published_ns = self.commands.publish(header, TWIST_LENGTH, |twist| {
             for (component, velocity) in twist.iter_mut().zip(outcome.twist) {

@@ -8,6 +8,7 @@
 //! ```
 #![allow(clippy::print_stdout, reason = "this program's output is for people and pipes")]
 
+mod calibrate;
 mod checks;
 mod dataset;
 mod doctor;
@@ -17,6 +18,9 @@ mod latency;
 mod options;
 mod order;
 mod output;
+mod people;
+mod personal;
+mod prior;
 mod profile;
 mod progress;
 mod provenance;
@@ -67,6 +71,12 @@ enum Command {
     /// Data sets to train models on.
     #[command(subcommand)]
     Dataset(dataset::Command),
+    /// Fit a recogniser to one person and keep it.
+    Calibrate(calibrate::Options),
+    /// List the people who were calibrated.
+    People(people::Options),
+    /// Gather what people have in common from their recordings, for the recognisers of others.
+    Prior(prior::Options),
     /// Score a model on a data set: accuracy, per-class scores, confusion matrix, figures.
     Evaluate(evaluate::Options),
     /// Score the three real-time strategies on continuous recordings with cues.
@@ -107,6 +117,9 @@ fn main() -> ExitCode {
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),
+        Command::Calibrate(options) => calibrate::calibrate(&options),
+        Command::People(options) => people::list(&options),
+        Command::Prior(options) => prior::gather(&options),
         Command::Evaluate(options) => evaluate::evaluate(&options),
         Command::Strategies(options) => strategies::score(&options),
         Command::Experiments(options) => experiments::run(&options),

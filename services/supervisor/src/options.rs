@@ -15,6 +15,8 @@ use tendon_gesture::Strategy;
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
+use crate::personal::{check_person, set_person};
+
 /// Read where no other is named.
 const DEFAULT_FILE: &str = "tendon.toml";
 
@@ -125,6 +127,10 @@ pub struct Options {
     /// Seed of the simulated amplifier: the same seed gives the same samples.
     #[arg(long)]
     seed: Option<u64>,
+    /// A person who was calibrated, by name, or a person file. Channels, rate, filter, windows and gestures are theirs
+    /// where the configuration does not say otherwise.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["model", "rest_move_model", "strategy"])]
+    person: Option<String>,
     /// How rest and movement are told apart.
     #[arg(long, value_enum)]
     strategy: Option<Strategy>,
@@ -167,6 +173,8 @@ impl Options {
             );
             config.inference.rest_move_model = Some(model.clone());
         }
+        let person = self.person.as_deref().map(|person| set_person(person, &self.base, &mut config));
+        let person = person.transpose()?;
         if let Some(realtime) = self.realtime {
             config.scheduling.realtime = realtime;
         }
@@ -177,7 +185,11 @@ impl Options {
                 "--task is for the arm's own time: leave --pace full away"
             );
         }
-        finish(config)
+        let config = finish(config)?;
+        if let Some((file, person)) = person {
+            check_person(&file, &person, &config)?;
+        }
+        Ok(config)
     }
 
     /// Where the samples come from.

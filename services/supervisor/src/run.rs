@@ -18,7 +18,7 @@ use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    Keyboard, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, gesture_keys,
+    Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, gesture_keys,
     stop_on_signals,
 };
 use tendon_transport::{Delivery, Leftovers, SessionLock};
@@ -135,8 +135,8 @@ fn run_locked(
     known.task = task.transpose().map_err(Failure::input)?;
     // From before the arm goes to its start position: it can be stopped then, too.
     let keyboard = if options.keyboard || Keyboard::is_there() {
-        let keyboard =
-            Keyboard::listen(&robot, &sender, options.keyboard.then_some(&config.decision.gestures));
+        let gestures = options.keyboard.then(|| config.decision.gestures.clone());
+        let keyboard = Keyboard::listen(&robot, &sender, gestures.map_or(Keys::Arm, Keys::Gestures));
         Some(keyboard.context("--keyboard").map_err(Failure::input)?)
     } else {
         None

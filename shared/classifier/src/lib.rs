@@ -155,7 +155,10 @@ impl Classifier {
             .map_err(|error| model_error(&error))?;
         let silence = vec![0.0; shape.iter().product::<i64>() as usize];
         let mut classifier = Classifier { path: model.to_owned(), contract, runner };
-        classifier.classify(&silence)?;
+        let outputs = classifier.classify(&silence)?.to_vec();
+        if !are_probabilities(&outputs) {
+            return Err(contract_error(ContractProblem::NoProbabilities { outputs }));
+        }
         Ok(classifier)
     }
 
@@ -190,10 +193,11 @@ impl Classifier {
     /// # Errors
     ///
     /// [`ClassifierError::Run`] if the length of the window differs from the contract, or ONNX Runtime fails;
-    /// [`ClassifierError::Contract`] if the outputs are no probabilities.
+    /// [`ClassifierError::Contract`] if the outputs are finite, but no probabilities. Outputs that are not finite are
+    /// returned as they are: they are no answer, and nobody acts on them.
     pub fn classify(&mut self, window: &[f32]) -> Result<&[f32], ClassifierError> {
         let outputs = self.runner.run(window)?;
-        if !are_probabilities(outputs) {
+        if outputs.iter().all(|output| output.is_finite()) && !are_probabilities(outputs) {
             let problem = ContractProblem::NoProbabilities { outputs: outputs.to_vec() };
             return Err(ClassifierError::Contract { path: self.path.clone(), problem });
         }

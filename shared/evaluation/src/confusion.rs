@@ -2,11 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Counts of answers: one row a true class, one column a predicted class.
+/// Counts of answers: one row a true class, one column a predicted class. A window without an answer counts as one of its
+/// class that was not recognised.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Confusion {
     classes: usize,
     counts: Vec<u64>,
+    /// Windows of each true class to which there was no answer.
+    unanswered: Vec<u64>,
 }
 
 /// Scores of a class, or averages of them. Where a score would divide by zero, as for a class that never occurs, it
@@ -26,7 +29,7 @@ pub struct ClassScores {
 impl Confusion {
     /// No answers yet, for this many classes.
     pub fn new(classes: usize) -> Confusion {
-        Confusion { classes, counts: vec![0; classes * classes] }
+        Confusion { classes, counts: vec![0; classes * classes], unanswered: vec![0; classes] }
     }
 
     /// Counts one answer.
@@ -37,6 +40,20 @@ impl Confusion {
     pub fn record(&mut self, truth: usize, predicted: usize) {
         assert!(truth < self.classes && predicted < self.classes, "there are {} classes", self.classes);
         self.counts[truth * self.classes + predicted] += 1;
+    }
+
+    /// Counts a window to which there was no answer.
+    ///
+    /// # Panics
+    ///
+    /// When there is no such class.
+    pub fn record_unanswered(&mut self, truth: usize) {
+        self.unanswered[truth] += 1;
+    }
+
+    /// Windows to which there was no answer.
+    pub fn unanswered(&self) -> u64 {
+        self.unanswered.iter().sum()
     }
 
     /// Number of classes.
@@ -51,7 +68,8 @@ impl Confusion {
 
     /// Windows of a class.
     pub fn support(&self, truth: usize) -> u64 {
-        (0..self.classes).map(|predicted| self.count(truth, predicted)).sum()
+        let answered: u64 = (0..self.classes).map(|predicted| self.count(truth, predicted)).sum();
+        answered + self.unanswered[truth]
     }
 
     /// Windows predicted as a class.
@@ -61,7 +79,7 @@ impl Confusion {
 
     /// All windows.
     pub fn windows(&self) -> u64 {
-        self.counts.iter().sum()
+        self.counts.iter().sum::<u64>() + self.unanswered()
     }
 
     /// Windows whose class was predicted.

@@ -18,6 +18,9 @@ pub struct Evaluation {
     pub windows: u64,
     /// Windows of gestures that the classifier does not know, by gesture.
     pub windows_left_out: BTreeMap<String, u64>,
+    /// Windows, among those classified, for which the classifier gave numbers that are not finite: no answer.
+    #[serde(default)]
+    pub windows_without_answer: u64,
     /// Mean cross-entropy, in nats.
     pub loss: f64,
     /// Share of windows whose class was predicted.
@@ -107,6 +110,7 @@ impl Evaluation {
                 .iter()
                 .map(|(gesture, count)| (gesture.name().to_owned(), *count))
                 .collect(),
+            windows_without_answer: confusion.unanswered(),
             loss: if windows == 0 { 0.0 } else { loss_sum / windows as f64 },
             accuracy: confusion.accuracy(),
             per_class: all.clone().map(|class| (name(class), confusion.scores(class))).collect(),
@@ -140,6 +144,13 @@ impl Display for Evaluation {
         writeln!(out, "accuracy {:.4}, loss {:.4}, {} windows", self.accuracy, self.loss, self.windows)?;
         for (gesture, windows) in &self.windows_left_out {
             writeln!(out, "left out: {windows} windows of {gesture}, which the model does not know")?;
+        }
+        if self.windows_without_answer > 0 {
+            writeln!(
+                out,
+                "no answer: {} windows, for which the outputs are not finite numbers; they count as not recognised",
+                self.windows_without_answer
+            )?;
         }
         writeln!(out, "\n{:<18}{:>10}{:>10}{:>10}{:>10}", "class", "precision", "recall", "F1", "windows")?;
         let averages = [("macro average", &self.macro_average), ("weighted average", &self.weighted_average)];

@@ -17,15 +17,22 @@ mod personal;
 mod score;
 mod sequence;
 mod strategies;
+mod strategy_scores;
 mod tally;
+mod windows;
 
 pub use confusion::{ClassScores, Confusion};
-pub use continuous::{CuePart, GestureWindows, RepetitionScores, Step, StrategyScores, StrategyTally, Times};
+pub use continuous::{Asked, CuePart, FALL_MS, Step, StrategyTally};
 pub use evaluation::{ConfusedPair, Evaluation, Spread};
 pub use people::{PeopleError, chosen_people};
-pub use personal::{PersonalError, PersonalScores, PersonalSettings, score_people};
+pub use personal::{
+    PersonalError, PersonalScores, PersonalSettings, gather_cohort, prior_without, score_people,
+};
 pub use score::{OnProgress, ScoreError, Scores, score_dataset, score_recordings};
 pub use strategies::{
-    StrategyError, StrategyModels, StrategyProblem, WithTrials, dataset_settings, score_strategy, with_trials,
+    PersonRecordings, StrategyError, StrategyModels, StrategyProblem, dataset_settings, score_strategy,
+    with_trials,
 };
+pub use strategy_scores::{GestureWindows, RepetitionScores, StrategyScores, Times, in_words};
 pub use tally::{Answer, Group, Origin, Tally};
+pub use windows::{MemberError, PersonWindows, WindowOrigin};

@@ -21,7 +21,7 @@ use tendon_signal::WindowSettings;
 
 use crate::evaluation::Evaluation;
 use crate::people::{PeopleError, chosen_people};
-use crate::sequence::Sequence;
+use crate::sequence::{Sequence, TrialId};
 use crate::tally::{Answer, Origin, Tally};
 
 /// Scores of a model, and what they are of.
@@ -135,7 +135,7 @@ pub fn score_dataset(
             gesture: dataset.gesture(index),
             person: dataset.person(index),
             repetition: dataset.repetition(index),
-            trial: u64::from(dataset.recording(index)),
+            trial: TrialId { recording: 0, trial: dataset.recording(index) as usize },
         };
         scorer
             .take(&window)
@@ -177,12 +177,10 @@ pub fn score_recordings(
         found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
     let mut scorer = Scorer::new(classifier, people, data_set.map(str::to_owned));
     let mut samples = 0;
-    let mut trials_before = 0;
     for (index, recording) in recordings.iter().enumerate() {
         on_progress(index, recordings.len());
-        match scorer.take_recording(&settings, recording, trials_before)? {
+        match scorer.take_recording(&settings, recording, index)? {
             Ok(cut) => {
-                trials_before += cut.trials.len() as u64;
                 samples += cut.samples;
                 skipped.extend(cut.skipped.iter().map(ToString::to_string));
             }
@@ -220,8 +218,7 @@ struct Window<'a> {
     gesture: Gesture,
     person: u16,
     repetition: u8,
-    /// A different number for each trial.
-    trial: u64,
+    trial: TrialId,
 }
 
 /// A model being scored, window by window.
@@ -256,12 +253,12 @@ impl Scorer {
         Ok(())
     }
 
-    /// Takes all windows of a recording; one that cannot be read to its end counts for nothing.
+    /// Takes all windows of a recording, which has this place among all; one that cannot be read to its end counts for nothing.
     fn take_recording(
         &mut self,
         settings: &DatasetSettings,
         recording: &Recording,
-        trials_before: u64,
+        index: usize,
     ) -> Result<Result<Cut, RecordingError>, ScoreError> {
         let before = self.tally.clone();
         let mut result = Ok(());
@@ -272,7 +269,7 @@ impl Scorer {
                     gesture: window.gesture,
                     person: window.person,
                     repetition: window.repetition,
-                    trial: trials_before + window.trial as u64,
+                    trial: TrialId { recording: index, trial: window.trial },
                 });
             }
         });

@@ -1,11 +1,18 @@
 //! Windows for models that classify several in a row.
 
+/// Where a window comes from: its recording, and its trial in it. A sequence has windows of one trial only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TrialId {
+    pub(crate) recording: usize,
+    pub(crate) trial: usize,
+}
+
 /// The newest windows of a trial, as a model of sequences wants them.
 pub(crate) struct Sequence {
     windows: usize,
     /// One after the other `[windows × channels × samples]`; not used by a model of single windows.
     samples: Vec<f32>,
-    trial: Option<u64>,
+    trial: Option<TrialId>,
     /// How many windows of the trial have come.
     windows_of_trial: usize,
 }
@@ -17,7 +24,7 @@ impl Sequence {
     }
 
     /// The sequence that ends with `window`; `None` while its trial has not had enough.
-    pub(crate) fn push<'a>(&'a mut self, trial: u64, window: &'a [f32]) -> Option<&'a [f32]> {
+    pub(crate) fn push<'a>(&'a mut self, trial: TrialId, window: &'a [f32]) -> Option<&'a [f32]> {
         if self.windows == 1 {
             return Some(window);
         }
@@ -43,7 +50,7 @@ mod tests {
         let mut ended = Vec::new();
         for (index, window) in windows.iter().enumerate() {
             // Four windows of one trial, two of the next.
-            let trial = u64::from(index >= 4);
+            let trial = TrialId { recording: 0, trial: usize::from(index >= 4) };
             ended.push(sequence.push(trial, window).map(<[f32]>::to_vec));
         }
         assert_eq!(ended[..2], [None, None]);
@@ -52,6 +59,16 @@ mod tests {
         assert_eq!(ended[4..], [None, None]);
 
         let mut single = Sequence::new(1, 2);
-        assert_eq!(single.push(0, &windows[3]), Some(&windows[3][..]));
+        assert_eq!(single.push(TrialId { recording: 0, trial: 0 }, &windows[3]), Some(&windows[3][..]));
+    }
+
+    #[test]
+    fn a_sequence_never_mixes_two_recordings() {
+        // The first recording breaks off in its first trial; the next one counts its trials from 0 again.
+        let mut sequence = Sequence::new(2, 1);
+        let of = |recording| TrialId { recording, trial: 0 };
+        assert_eq!(sequence.push(of(0), &[1.0]), None);
+        assert_eq!(sequence.push(of(1), &[2.0]), None);
+        assert_eq!(sequence.push(of(1), &[3.0]), Some(&[2.0, 3.0][..]));
     }
 }

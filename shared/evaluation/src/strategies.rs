@@ -1,20 +1,23 @@
 //! Scores a strategy on continuous recordings with cues.
 //!
 //! ```text
+//! a person's first rest ─▶ calibrates the activity detector, once
 //! recording ─▶ blocks ─▶ pipeline ─▶ what the arm would do ─┐
 //!     └─▶ onsets of the movements ──────────────────────────┴─▶ scores
 //! ```
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use tendon_classifier::Recogniser;
 use tendon_dataset::{DatasetSettings, Recording, RecordingEntry, cut};
-use tendon_gesture::Strategy;
+use tendon_gesture::{Action, DecisionSettings, Gesture, Strategy};
 use tendon_pipeline::{Pipeline, PipelineError, PipelineSettings};
-use tendon_recordings::{Channel, RecordingError, ReplayStream};
+use tendon_recordings::{Channel, RecordingError, ReplayBlock, ReplayStream, Segment};
 
-use crate::continuous::{CuePart, Step, StrategyScores, StrategyTally};
+use crate::continuous::{Asked, CuePart, Step, StrategyTally};
 use crate::score::OnProgress;
+use crate::strategy_scores::StrategyScores;
 
 /// The models of the strategies; `None` stands for the one that comes with Tendon.
 #[derive(Clone, Debug, Default)]
@@ -76,63 +79,178 @@ pub enum StrategyProblem {
     /// The pipeline failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
+    /// The activity detector would never say that anybody moves.
+    #[error(
+        "person {person} rests too briefly to calibrate the activity detector: {missing_s:.1} s are missing; leave \
+         the person out with --people, shorten dsp.activity.calibration_s, or leave the threshold strategy out"
+    )]
+    NotCalibrated {
+        /// The person.
+        person: u16,
+        /// By how much all rest of the person is too short, s.
+        missing_s: f64,
+    },
+}
+
+/// What is scored of a person: recordings that can be read to their ends, in order.
+#[derive(Debug)]
+pub struct PersonRecordings {
+    person: u16,
+    /// At least one.
+    recordings: Vec<WithTrials>,
 }
 
 /// A recording that can be read to its end, and where the movements in it begin.
 #[derive(Debug)]
-pub struct WithTrials {
+struct WithTrials {
     recording: Recording,
     /// At least one.
     trials: Vec<RecordingEntry>,
 }
 
-/// Reads all `recordings` once; beside those that can be used, which cannot and why.
-pub fn with_trials(settings: &DatasetSettings, recordings: Vec<Recording>) -> (Vec<WithTrials>, Vec<String>) {
-    let (mut usable, mut skipped) = (Vec::new(), Vec::new());
+/// Reads all `recordings` once and sorts them by person; beside those that can be used, which cannot and why.
+pub fn with_trials(
+    settings: &DatasetSettings,
+    recordings: Vec<Recording>,
+) -> (Vec<PersonRecordings>, Vec<String>) {
+    let (mut people, mut skipped): (Vec<PersonRecordings>, _) = (Vec::new(), Vec::new());
     for recording in recordings {
         match cut(settings, &recording, &mut |_| {}) {
             Ok(cut) if cut.trials.is_empty() => {
                 skipped.push(format!("{}: contains none of the six gestures", recording.path.display()));
             }
-            Ok(cut) => usable.push(WithTrials { recording, trials: cut.trials }),
+            Ok(cut) => {
+                let person = recording.person;
+                let usable = WithTrials { recording, trials: cut.trials };
+                match people.iter_mut().find(|own| own.person == person) {
+                    Some(own) => own.recordings.push(usable),
+                    None => people.push(PersonRecordings { person, recordings: vec![usable] }),
+                }
+            }
             Err(error) => skipped.push(recording.skipped(&error).to_string()),
         }
     }
-    (usable, skipped)
+    (people, skipped)
 }
 
 /// Samples of a block. What comes out does not depend on it.
 const BLOCK_SAMPLES: usize = 10;
 
-/// Scores the strategy of `pipeline` on `recordings`, read as `settings` say. `on_progress` counts recordings.
+/// Scores the strategy of `pipeline` on all `people`, read as `settings` say. `on_progress` counts recordings.
 ///
 /// # Errors
-/// When a recording cannot be read, or a model fails on a window.
+/// When a recording cannot be read, a model fails on a window, or somebody does not rest long enough to calibrate the
+/// activity detector of the threshold strategy.
 pub fn score_strategy(
     pipeline: &mut Pipeline,
     settings: &DatasetSettings,
-    recordings: &[WithTrials],
+    people: &[PersonRecordings],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<StrategyScores, StrategyError> {
-    let mut tally = StrategyTally::new(settings.sample_rate_hz);
-    for (index, WithTrials { recording, trials }) in recordings.iter().enumerate() {
-        on_progress(index, recordings.len());
-        let failed = |problem| StrategyError { path: recording.path.clone(), problem };
-        let stream = recording.stream(settings, BLOCK_SAMPLES).map_err(|error| failed(error.into()))?;
-        let (cues, steps) = run(pipeline, stream, trials).map_err(failed)?;
-        let RecordingEntry { person, session, repetition, .. } = &trials[0];
-        tally.add(*person, session, *repetition, &cues, &steps);
+    let mut tally = tally(pipeline.settings());
+    let total = people.iter().map(|person| person.recordings.len()).sum();
+    let mut done = 0;
+    for person in people {
+        let mut on_recording = || {
+            on_progress(done, total);
+            done += 1;
+        };
+        score_person(pipeline, settings, person, &mut tally, &mut on_recording)?;
     }
     Ok(tally.scores())
 }
 
-/// Runs a recording through the whole pipeline.
+/// A tally of what a pipeline with these settings does.
+fn tally(settings: &PipelineSettings) -> StrategyTally {
+    let DecisionSettings { gestures, modes, .. } = &settings.decision;
+    let works_gripper =
+        |gesture: &Gesture| modes.iter().any(|mode| mode.actions.get(gesture) == Some(&Action::Gripper));
+    StrategyTally::new(
+        settings.sample_rate_hz,
+        settings.signal.windows.increment_samples,
+        gestures.iter().filter(works_gripper).collect(),
+    )
+}
+
+/// Scores the strategy of `pipeline` on one person. `on_recording` is called before each recording.
+fn score_person(
+    pipeline: &mut Pipeline,
+    settings: &DatasetSettings,
+    person: &PersonRecordings,
+    tally: &mut StrategyTally,
+    on_recording: &mut dyn FnMut(),
+) -> Result<(), StrategyError> {
+    let calibrated = calibrate(pipeline, settings, person)?;
+    for (index, WithTrials { recording, trials }) in person.recordings.iter().enumerate() {
+        on_recording();
+        let failed = |problem| StrategyError { path: recording.path.clone(), problem };
+        let stream = recording.stream(settings, BLOCK_SAMPLES).map_err(|error| failed(error.into()))?;
+        let calibrated = calibrated.get(index).map_or(&[][..], Vec::as_slice);
+        let (cues, steps) = run(pipeline, stream, trials, calibrated).map_err(failed)?;
+        let RecordingEntry { person, session, repetition, .. } = &trials[0];
+        tally.add(*person, session, *repetition, &cues, &steps);
+    }
+    Ok(())
+}
+
+/// Calibrates the activity detector on the first rest of a person; which samples of each recording it took.
+fn calibrate(
+    pipeline: &mut Pipeline,
+    settings: &DatasetSettings,
+    person: &PersonRecordings,
+) -> Result<Vec<Vec<Range<u64>>>, StrategyError> {
+    let first = &person.recordings[0].recording.path;
+    let mut taken = Vec::new();
+    pipeline.restart().map_err(|error| StrategyError { path: first.clone(), problem: error.into() })?;
+    for WithTrials { recording, .. } in &person.recordings {
+        if pipeline.calibration_left_samples() == 0 {
+            break;
+        }
+        let failed = |problem| StrategyError { path: recording.path.clone(), problem };
+        pipeline.next_recording().map_err(|error| failed(error.into()))?;
+        let stream = recording.stream(settings, BLOCK_SAMPLES).map_err(|error| failed(error.into()))?;
+        taken.push(calibrate_on(pipeline, stream).map_err(failed)?);
+    }
+    let left_samples = pipeline.calibration_left_samples();
+    if left_samples > 0 && pipeline.settings().decision.strategy == Strategy::Threshold {
+        let missing_s = left_samples as f64 / settings.sample_rate_hz;
+        let problem = StrategyProblem::NotCalibrated { person: person.person, missing_s };
+        return Err(StrategyError { path: first.clone(), problem });
+    }
+    Ok(taken)
+}
+
+/// Gives the activity detector the rest of a recording until it has enough; which samples it took.
+fn calibrate_on(
+    pipeline: &mut Pipeline,
+    mut stream: ReplayStream,
+) -> Result<Vec<Range<u64>>, StrategyProblem> {
+    let mut block = vec![0.0; pipeline.settings().channels * BLOCK_SAMPLES];
+    let mut taken: Vec<Range<u64>> = Vec::new();
+    while pipeline.calibration_left_samples() > 0
+        && let Some(ReplayBlock { first_sample, cue, .. }) = stream.next_block(&mut block)?
+    {
+        if cue != Some(Gesture::REST) {
+            continue;
+        }
+        let end = first_sample + BLOCK_SAMPLES as u64;
+        match taken.last_mut().filter(|last| last.end == first_sample) {
+            Some(last) => last.end = end,
+            None => taken.push(first_sample..end),
+        }
+        pipeline.push(&block, |_| {})?;
+    }
+    Ok(taken)
+}
+
+/// Runs a recording through the whole pipeline, whose activity detector was calibrated on `calibrated`.
 fn run(
     pipeline: &mut Pipeline,
     mut stream: ReplayStream,
     trials: &[RecordingEntry],
+    calibrated: &[Range<u64>],
 ) -> Result<(Vec<CuePart>, Vec<Step>), StrategyProblem> {
-    pipeline.restart()?;
+    pipeline.next_recording()?;
     let window_samples = pipeline.settings().signal.windows.window_samples as u64;
     let mut block = vec![0.0; pipeline.settings().channels * BLOCK_SAMPLES];
     let segments = stream.source().segments().to_vec();
@@ -142,26 +260,22 @@ fn run(
     let mut end = 0;
     while let Some(replayed) = stream.next_block(&mut block)? {
         if segment.replace(replayed.segment) != Some(replayed.segment) {
-            let start = replayed.cue_since;
-            let part = &segments[replayed.segment];
-            let trial = trials.iter().find(|trial| {
-                trial.file == part.file && (part.end_sample.is_none() || trial.first_sample == start)
-            });
-            cues.push(CuePart {
-                gesture: part.cue,
-                start,
-                begun: trial.map(|trial| start + trial.start_sample as u64),
-                onset: trial.and_then(|trial| trial.onset_sample).map(|onset| start + onset as u64),
-                end: u64::MAX,
-            });
+            cues.push(cue_part(&segments[replayed.segment], replayed.cue_since, trials));
         }
         end = replayed.first_sample + BLOCK_SAMPLES as u64;
         pipeline.push(&block, |step| {
+            let first_sample = step.window.first_sample;
+            let end_sample = first_sample + window_samples;
+            let overlaps = |range: &Range<u64>| range.start < end_sample && range.end > first_sample;
+            let twist = step.decision.twist;
             steps.push(Step {
-                first_sample: step.window.first_sample,
-                end_sample: step.window.first_sample + window_samples,
+                first_sample,
+                end_sample,
+                calibrates: calibrated.iter().any(overlaps),
                 gesture: step.decision.gesture,
-                voted: step.decision.voted,
+                told: step.decision.voted,
+                moves: twist.iter().any(|velocity| *velocity != 0.0),
+                speed_mm_per_s: twist[..3].iter().map(|velocity| velocity * velocity).sum::<f64>().sqrt(),
                 toggles_gripper: step.decision.toggles_gripper,
                 work_ns: step.work_ns,
             });
@@ -171,4 +285,23 @@ fn run(
         cues[index].end = cues.get(index + 1).map_or(end, |next| next.start);
     }
     Ok((cues, steps))
+}
+
+/// A segment that begins at `start`, with what is known of its trial. Its end is not known yet.
+fn cue_part(segment: &Segment, start: u64, trials: &[RecordingEntry]) -> CuePart {
+    let trial = trials.iter().find(|trial| {
+        trial.file == segment.file && (segment.end_sample.is_none() || trial.first_sample == start)
+    });
+    CuePart {
+        asked: match (segment.cue, segment.repetition) {
+            (Some(gesture), _) => Asked::Gesture(gesture),
+            (None, Some(_)) => Asked::OtherMovement,
+            (None, None) => Asked::Nothing,
+        },
+        is_scored: true,
+        start,
+        begun: trial.map(|trial| start + trial.start_sample as u64),
+        onset: trial.and_then(|trial| trial.onset_sample).map(|onset| start + onset as u64),
+        end: u64::MAX,
+    }
 }

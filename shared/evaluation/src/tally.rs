@@ -83,7 +83,7 @@ impl Tally {
     }
 
     /// Takes the answer for a window of class `truth`. The predicted class is the most probable one, of equals
-    /// the first.
+    /// the first. Probabilities that are not all finite are no answer, and the window is not recognised.
     ///
     /// # Panics
     ///
@@ -91,17 +91,16 @@ impl Tally {
     pub fn record(&mut self, truth: usize, origin: Origin, answer: Answer<'_>) {
         let probabilities = answer.probabilities;
         assert_eq!(probabilities.len(), self.classes.len(), "one probability for each class");
-        let mut predicted = 0;
-        for (class, probability) in probabilities.iter().enumerate() {
-            if *probability > probabilities[predicted] {
-                predicted = class;
-            }
+        let predicted = most_probable(probabilities);
+        match predicted {
+            Some(predicted) => self.confusion.record(truth, predicted),
+            None => self.confusion.record_unanswered(truth),
         }
-        self.confusion.record(truth, predicted);
         // As scikit-learn's log_loss: no single window weighs infinitely.
-        let probability = probabilities[truth].clamp(f32::EPSILON, 1.0 - f32::EPSILON);
+        let probability =
+            predicted.map_or(0.0, |_| probabilities[truth]).clamp(f32::EPSILON, 1.0 - f32::EPSILON);
         self.loss_sum -= f64::from(probability).ln();
-        let is_correct = truth == predicted;
+        let is_correct = predicted == Some(truth);
         self.people.entry(origin.person).or_default().add(is_correct);
         self.repetitions.entry(origin.repetition).or_default().add(is_correct);
         self.work.saturating_record(answer.work_ns);
@@ -120,5 +119,45 @@ impl Tally {
     /// The answers by class.
     pub fn confusion(&self) -> &Confusion {
         &self.confusion
+    }
+}
+
+/// The most probable class, of equals the first; `None` if a probability is not finite.
+fn most_probable(probabilities: &[f32]) -> Option<usize> {
+    if !probabilities.iter().all(|probability| probability.is_finite()) {
+        return None;
+    }
+    let mut most = 0;
+    for (class, probability) in probabilities.iter().enumerate() {
+        if *probability > probabilities[most] {
+            most = class;
+        }
+    }
+    Some(most)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::Evaluation;
+
+    #[test]
+    fn an_output_that_is_no_number_is_no_answer_and_not_the_first_class() {
+        let classes = [Gesture::REST, Gesture::GRIP].map(Class::Gesture);
+        let mut tally = Tally::new(&classes);
+        let origin = Origin { person: 1, repetition: 0 };
+        // All of rest, which is class 0.
+        for probabilities in [[f32::NAN; 2], [f32::NAN, 1.0], [0.5, f32::INFINITY], [0.9, 0.1]] {
+            tally.record(0, origin, Answer { probabilities: &probabilities, work_ns: 1 });
+        }
+        let evaluation = Evaluation::of(&tally);
+        assert_eq!((evaluation.windows, evaluation.windows_without_answer), (4, 3));
+        assert_eq!((evaluation.accuracy, evaluation.per_class["rest"].recall), (0.25, 0.25));
+        assert_eq!(evaluation.per_class["rest"].support, 4);
+        assert_eq!(evaluation.confusion, [[1, 0], [0, 0]]);
+        assert_eq!(evaluation.per_person[&1].correct, 1);
+        assert!(evaluation.loss.is_finite() && evaluation.loss > 10.0, "{}", evaluation.loss);
+        let text = evaluation.to_string();
+        assert!(text.contains("no answer: 3 windows"), "{text}");
     }
 }

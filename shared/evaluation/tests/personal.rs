@@ -85,7 +85,7 @@ impl Recorder {
 
     fn score(self, repetitions: u32) -> Result<PersonalScores, PersonalError> {
         fs::write(self.folder.join("labels.csv"), &self.labels).unwrap();
-        let scored = score_people(&[self.folder], &settings(repetitions), &[], &mut |_, _| {});
+        let scored = score_people(&[self.folder], &settings(repetitions), &[], None, &mut |_, _| {});
         scored.map(|(scores, _)| scores)
     }
 }
@@ -155,7 +155,7 @@ fn real_people_are_well_recognised_after_one_repetition() {
         ..DatasetSettings::default()
     };
     let settings = PersonalSettings { dataset, method: MethodSettings::default(), repetitions: 1 };
-    let (scores, _) = score_people(&paths, &settings, &[], &mut |_, _| {}).unwrap();
+    let (scores, _) = score_people(&paths, &settings, &[], None, &mut |_, _| {}).unwrap();
     assert!(scores.evaluation.people.mean > 0.92, "{}", scores.evaluation);
     assert!(scores.longest_fit_s < 60.0);
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
-use tendon_evaluation::{GestureWindows, Scores, Spread, StrategyScores};
+use tendon_evaluation::{GestureWindows, Scores, Spread, StrategyScores, in_words};
 use tendon_gesture::{Gesture, Strategy};
 
 use crate::paper::{Paper, PaperModel};
@@ -53,6 +53,16 @@ impl Report<'_> {
             }
         }
         for results in self.results {
+            let people =
+                |people: &[u16]| people.iter().map(ToString::to_string).collect::<Vec<String>>().join(", ");
+            let trained = results.datasets.values().next().map(|manifest| &manifest.split.train_people[..]);
+            writeln!(
+                self.text,
+                "- {}: scored on people {}; models are trained on people {}.",
+                results.source,
+                people(&results.tested_people),
+                people(trained.unwrap_or_default())
+            )?;
             for missing in &results.missing {
                 writeln!(self.text, "- {}: {missing}.", results.source)?;
             }
@@ -315,7 +325,8 @@ impl Report<'_> {
                         ..
                     }) => write!(
                         self.text,
-                        " {windows} | {moving_percent:.2} | {correct_percent:.2} | {correct_of_moving_percent:.2} |"
+                        " {windows} | {moving_percent:.2} | {correct_percent:.2} | {} |",
+                        in_words(*correct_of_moving_percent, 2)
                     )?,
                     None => write!(self.text, " – | – | – | – |")?,
                 }
@@ -335,23 +346,33 @@ impl Report<'_> {
         }
         write!(self.text, "\n|---|{}\n", "---|".repeat(3 * self.results.len()))?;
         type Row = (&'static str, fn(&StrategyScores) -> String);
-        let rows: [Row; 7] = [
-            ("mean of the gestures, correct %", |scores| format!("{:.2}", scores.mean_correct_percent)),
-            ("gripper: false activations a minute", |scores| {
-                format!("{:.2}", scores.gripper_false_activations_per_min)
+        let rows: [Row; 13] = [
+            ("mean of the gestures, correct %", |scores| in_words(scores.mean_correct_percent, 2)),
+            ("windows after an onset: right command, %", |scores| percent(scores.correct_share)),
+            ("windows after an onset: another gesture, %", |scores| percent(scores.wrong_gesture_share)),
+            ("windows after an onset: wrong direction, %", |scores| percent(scores.wrong_direction_share)),
+            ("windows of rest taken for movement, %", |scores| percent(scores.rest_taken_for_movement_share)),
+            ("false activations a minute of rest", |scores| {
+                in_words(scores.rest_false_activations_per_min, 2)
             }),
-            ("grips answered, %", |scores| format!("{:.1}", scores.grips_answered_percent)),
-            ("changes of direction a minute", |scores| format!("{:.2}", scores.direction_changes_per_min)),
-            ("onset to first correct command, median (mean, sd), ms", |scores| {
+            ("wrong motion, mm a minute", |scores| in_words(scores.wrong_motion_mm_per_min, 0)),
+            ("gripper: false activations a minute", |scores| {
+                in_words(scores.gripper_false_activations_per_min, 2)
+            }),
+            ("grips answered, %", |scores| in_words(scores.grips_answered_percent, 1)),
+            ("changes of direction a minute", |scores| in_words(scores.direction_changes_per_min, 2)),
+            ("onset to first correct command, median (mean, sd; p90), ms", |scores| {
                 let times = &scores.onset_to_first_correct_command_ms;
-                format!("{:.0} ({:.0}, {:.0})", times.median, times.spread.mean, times.spread.sd)
+                let [median, mean, sd, p90] =
+                    [times.median, times.mean, times.sd, times.p90].map(|time| in_words(time, 0));
+                format!("{median} ({mean}, {sd}; {p90})")
             }),
             ("movements never answered", |scores| {
-                let all = scores.never_answered + scores.onset_to_first_correct_command_ms.count;
-                format!("{} of {all}", scores.never_answered)
+                let never = scores.never_answered.unwrap_or(0);
+                format!("{never} of {}", never + scores.onset_to_first_correct_command_ms.count)
             }),
             ("window start to command, computing alone, mean, ms", |scores| {
-                format!("{:.2}", scores.window_start_to_command_ms.spread.mean)
+                in_words(scores.window_start_to_command_ms.mean, 2)
             }),
         ];
         for (words, value) in rows {
@@ -436,6 +457,11 @@ impl Report<'_> {
         }
         Ok(())
     }
+}
+
+/// A share in percent.
+fn percent(share: Option<f64>) -> String {
+    in_words(share.map(|share| 100.0 * share), 2)
 }
 
 fn accuracy_spread(runs: &[Scores]) -> Spread {

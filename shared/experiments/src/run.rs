@@ -9,7 +9,9 @@ use std::slice::from_ref;
 use serde::Serialize;
 use tendon_classifier::Classifier;
 use tendon_dataset::{BuildSettings, Manifest, Recording, StoredDataset, list};
-use tendon_evaluation::{Scores, StrategyModels, StrategyScores, score_dataset, score_strategy, with_trials};
+use tendon_evaluation::{
+    Scores, StrategyModels, StrategyScores, in_words, score_dataset, score_strategy, with_trials,
+};
 use tendon_figures::write_score_figures;
 use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_output::{OutputFile, OutputFolder, collect};
@@ -23,7 +25,7 @@ use crate::live::{LiveModels, run_live};
 use crate::paper::Paper;
 use crate::plan::{DATASETS, DatasetPlan, MODELS, Training};
 use crate::report;
-use crate::training::{model_path, train_all};
+use crate::training::{Acquaintance, model_path, train_all};
 
 /// What to run, on what.
 #[derive(Clone, Debug)]
@@ -79,6 +81,8 @@ pub enum Event<'a> {
 pub struct Results {
     /// What the source is called.
     pub source: &'static str,
+    /// Numbers of the people who are held out: everything is scored on them.
+    pub tested_people: Vec<u16>,
     /// Settings, counts and onsets, by data set.
     pub datasets: BTreeMap<&'static str, Manifest>,
     /// Scores on the people held out, by model, one for each seed.
@@ -183,6 +187,7 @@ impl Run<'_> {
         }
         let mut results = Results {
             source: self.source.name,
+            tested_people: self.source.test_people.clone(),
             datasets: BTreeMap::new(),
             models: BTreeMap::new(),
             strategies: BTreeMap::new(),
@@ -195,11 +200,12 @@ impl Run<'_> {
         }
         let trainings = Training::all(&self.settings.seeds, self.settings.epochs);
         if self.settings.trains {
-            train_all(self.settings, &trainings, &self.out, self.on_event)?;
+            train_all(self.settings, &trainings, &results.datasets, &self.out, self.on_event)?;
         }
         for training in &trainings {
-            if !model_path(&self.out, training).is_file() {
-                results.missing.push(format!("{} is not trained yet", training.name()));
+            let acquaintance = self.acquaintance(training, &results);
+            results.missing.extend(acquaintance.remark(&training.name()));
+            if !acquaintance.may_be_tested() {
                 continue;
             }
             results.models.entry(training.model.name).or_default().push(self.score(training)?);
@@ -212,14 +218,31 @@ impl Run<'_> {
         (self.on_event)(Event::Line(line));
     }
 
+    /// Whether a data set of an earlier run holds the same recordings, and holds out the same people.
+    fn is_of_source(&self, manifest: &Manifest) -> bool {
+        let hash =
+            |provenance: &Provenance| provenance.recording.as_ref().map(|recording| recording.sha256.clone());
+        let people: BTreeSet<u16> = self.source.test_people.iter().copied().collect();
+        let recorded = hash(&manifest.provenance);
+        recorded.is_some()
+            && recorded == hash(&self.provenance)
+            && people.iter().eq(manifest.split.test_people.iter())
+    }
+
+    /// Whom the model of `training` knows.
+    fn acquaintance(&self, training: &Training, results: &Results) -> Acquaintance {
+        let dataset = &results.datasets[training.model.dataset];
+        Acquaintance::of(&model_path(&self.out, training), dataset)
+    }
+
     /// The data set of `plan`, built unless it is there already.
     fn build(&mut self, plan: &DatasetPlan) -> Result<Manifest, ExperimentError> {
         let folder = self.out.join("data").join(plan.name);
         let settings = plan.settings(&self.source.channels, self.source.filter.clone());
         if StoredDataset::is_one(&folder) {
-            let dataset = StoredDataset::open(&folder)?;
-            if dataset.manifest().settings == settings {
-                return Ok(dataset.manifest().clone());
+            let manifest = StoredDataset::open(&folder)?.manifest().clone();
+            if manifest.settings == settings && self.is_of_source(&manifest) {
+                return Ok(manifest);
             }
         }
         self.say(format!("data set {}", plan.name));
@@ -247,18 +270,20 @@ impl Run<'_> {
         Ok(scores)
     }
 
-    /// The model that a strategy needs, of the first seed, if it is trained.
-    fn trained(&self, name: &str) -> Option<PathBuf> {
+    /// The model that a strategy needs, of the first seed, if it is trained, and on nobody who is held out.
+    fn trained(&self, name: &str, results: &Results) -> Option<PathBuf> {
         let model = MODELS.into_iter().find(|model| model.name == name)?;
         let training = Training { model, seed: self.settings.seeds[0], epochs: self.settings.epochs };
-        Some(model_path(&self.out, &training)).filter(|path| path.is_file())
+        let may_be_tested = self.acquaintance(&training, results).may_be_tested();
+        may_be_tested.then(|| model_path(&self.out, &training))
     }
 
     /// The three strategies, offline on all recordings of the people held out, and live on the first of them.
     fn strategies(&mut self, results: &mut Results) -> Result<(), ExperimentError> {
-        let trained = ["five-gesture", "rest-move", "cnn-raw"].map(|name| self.trained(name));
+        let trained = ["five-gesture", "rest-move", "cnn-raw"].map(|name| self.trained(name, results));
         let [Some(five_gesture), Some(rest_move), Some(six_class)] = trained else {
-            let missing = "the strategies need the models five-gesture, rest-move and cnn-raw";
+            let missing = "the strategies need the models five-gesture, rest-move and cnn-raw, trained on nobody \
+                           who is held out";
             results.missing.push(missing.to_owned());
             return Ok(());
         };
@@ -309,8 +334,8 @@ impl Run<'_> {
             let mut progress =
                 |done, total| (self.on_event)(Event::Progress { done, total, things: "recordings" });
             let scores = score_strategy(&mut pipeline, &settings, &usable, &mut progress)?;
-            let share = scores.mean_correct_percent;
-            self.say(format!("strategy {}: {share:.1} % of the windows", strategy.name()));
+            let share = in_words(scores.mean_correct_percent, 1);
+            self.say(format!("strategy {}: {share} % of the windows", strategy.name()));
             results.strategies.insert(strategy.name(), scores);
         }
         Ok(first)

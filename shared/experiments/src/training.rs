@@ -1,10 +1,14 @@
 //! Runs the trainings that are missing, several at a time, each in a process of its own.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
+
+use tendon_classifier::trained_on;
+use tendon_dataset::Manifest;
 
 use crate::error::ExperimentError;
 use crate::plan::Training;
@@ -15,15 +19,85 @@ pub(crate) fn model_path(out: &Path, training: &Training) -> PathBuf {
     out.join("models").join(training.name() + ".onnx")
 }
 
-/// Trains what is not there yet, `settings.jobs` at a time.
+/// Whom a model was trained on, compared with the people of a data set.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Acquaintance {
+    /// There is no model.
+    Missing,
+    /// On those whom the data set trains on.
+    Same,
+    /// On others, but on nobody whom the data set holds out for the test.
+    Others,
+    /// On these people, whom the data set holds out for the test.
+    Tested(Vec<u16>),
+    /// It does not say.
+    Unknown,
+}
+
+impl Acquaintance {
+    /// That of the model in the file `model` with `dataset`.
+    pub(crate) fn of(model: &Path, dataset: &Manifest) -> Acquaintance {
+        if !model.is_file() {
+            return Acquaintance::Missing;
+        }
+        let trained = trained_on(model).unwrap_or_default();
+        let tested = &dataset.split.test_people;
+        let both: Vec<u16> = trained
+            .people_of(dataset.data_set.as_deref())
+            .iter()
+            .copied()
+            .filter(|person| tested.contains(person))
+            .collect();
+        if trained.people.is_empty() {
+            Acquaintance::Unknown
+        } else if !both.is_empty() {
+            Acquaintance::Tested(both)
+        } else if trained.data_set == dataset.data_set && trained.people == dataset.split.train_people {
+            Acquaintance::Same
+        } else {
+            Acquaintance::Others
+        }
+    }
+
+    /// Whether a score on the people held out is one on strangers.
+    pub(crate) fn may_be_tested(&self) -> bool {
+        matches!(self, Acquaintance::Same | Acquaintance::Others)
+    }
+
+    /// What the report says of the model `name`; `None` if there is nothing to say.
+    pub(crate) fn remark(&self, name: &str) -> Option<String> {
+        let remedy = "train it anew (leave --no-training out), or choose another folder with --out";
+        match self {
+            Acquaintance::Missing => Some(format!("{name} is not trained yet")),
+            Acquaintance::Same => None,
+            Acquaintance::Others => {
+                Some(format!("{name} was trained on other people than its data set holds: {remedy}"))
+            }
+            Acquaintance::Tested(people) => {
+                let people: Vec<String> = people.iter().map(ToString::to_string).collect();
+                let people = people.join(", ");
+                Some(format!("{name} is not scored: it was trained on {people}, who are held out: {remedy}"))
+            }
+            Acquaintance::Unknown => {
+                Some(format!("{name} is not scored: it does not say whom it was trained on: {remedy}"))
+            }
+        }
+    }
+}
+
+/// Trains what is not there yet or was trained on other people, `settings.jobs` at a time.
 pub(crate) fn train_all(
     settings: &Settings,
     trainings: &[Training],
+    datasets: &BTreeMap<&'static str, Manifest>,
     out: &Path,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<(), ExperimentError> {
-    let missing: Vec<&Training> =
-        trainings.iter().filter(|training| !model_path(out, training).is_file()).collect();
+    let is_trained = |training: &&Training| {
+        let dataset = &datasets[training.model.dataset];
+        Acquaintance::of(&model_path(out, training), dataset) == Acquaintance::Same
+    };
+    let missing: Vec<&Training> = trainings.iter().filter(|training| !is_trained(training)).collect();
     if missing.is_empty() {
         return Ok(());
     }
@@ -101,4 +175,57 @@ fn find_train_script(program: &Path) -> Result<PathBuf, ExperimentError> {
     scripts
         .find(|path| path.is_file())
         .ok_or_else(|| ExperimentError::NoTrainScript { program: program.to_owned() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tendon_dataset::{DatasetSettings, SplitEntry, SplitWindows, TrainingStatistics};
+
+    fn manifest(train_people: &[u16], test_people: &[u16]) -> Manifest {
+        Manifest {
+            settings: DatasetSettings::default(),
+            data_set: Some("3DC".to_owned()),
+            windows: 0,
+            windows_per_gesture: BTreeMap::new(),
+            windows_per_person: BTreeMap::new(),
+            fallbacks: 0,
+            onsets: BTreeMap::new(),
+            split: SplitEntry {
+                test_people: test_people.to_vec(),
+                train_people: train_people.to_vec(),
+                validation_share: 0.2,
+                seed: 0,
+                windows: SplitWindows::default(),
+            },
+            training_statistics: TrainingStatistics::default(),
+            recordings: Vec::new(),
+            skipped: Vec::new(),
+            notices: Vec::new(),
+            provenance: Default::default(),
+        }
+    }
+
+    #[test]
+    fn a_model_of_an_earlier_run_is_known_by_whom_it_was_trained_on() {
+        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/cnn-six-class.onnx");
+        let own = [1, 3, 4, 5, 6, 7, 9, 11, 12, 13, 14, 15];
+        let acquaintance = |manifest: &Manifest| Acquaintance::of(&model, manifest);
+        assert_eq!(acquaintance(&manifest(&own, &[19, 20, 22])), Acquaintance::Same);
+        assert_eq!(acquaintance(&manifest(&[1, 3, 19], &[20])), Acquaintance::Others);
+        let tested = acquaintance(&manifest(&[4, 19, 20], &[3, 9, 22]));
+        assert_eq!(tested, Acquaintance::Tested(vec![3, 9]));
+        assert!(!tested.may_be_tested());
+        let remark = tested.remark("cnn-raw").unwrap();
+        assert!(remark.contains("cnn-raw is not scored: it was trained on 3, 9") && remark.contains("--out"));
+        let of_others = Manifest { data_set: Some("Ozdemir 2022".to_owned()), ..manifest(&own, &[3]) };
+        assert_eq!(acquaintance(&of_others), Acquaintance::Others, "3 of another data set is somebody else");
+        let folder = tempfile::tempdir().unwrap();
+        let missing = folder.path().join("none.onnx");
+        assert_eq!(Acquaintance::of(&missing, &manifest(&own, &[19])), Acquaintance::Missing);
+        let silent = folder.path().join("silent.onnx");
+        fs::write(&silent, b"").unwrap();
+        let silent = Acquaintance::of(&silent, &manifest(&own, &[19]));
+        assert_eq!((silent.may_be_tested(), silent), (false, Acquaintance::Unknown));
+    }
 }

@@ -40,7 +40,7 @@ pub struct LaggedLogCovariance {
     delays_ms: Vec<f64>,
     /// In samples, ascending from 0.
     delays: Vec<usize>,
-    piece_samples: f64,
+    piece_ms: f64,
     ridge: f64,
     floor_variance: f64,
     lags: Vec<Lag>,
@@ -111,7 +111,7 @@ impl LaggedLogCovariance {
             delays_ms,
             lags: lags(&delays, channels),
             delays,
-            piece_samples: settings.piece_ms * rate_hz / 1000.0,
+            piece_ms: settings.piece_ms,
             ridge: settings.ridge,
             floor_variance,
             chunk: vec![0.0; channels * (longest + CHUNK)],
@@ -160,6 +160,7 @@ impl LaggedLogCovariance {
             delays_ms: self.delays_ms.clone(),
             lowest_rate_hz: self.rate_hz,
             highest_rate_hz: self.rate_hz,
+            piece_ms: self.piece_ms,
         }
     }
 
@@ -245,7 +246,7 @@ impl LaggedLogCovariance {
 
     /// Into how many pieces a window is divided; each is as long as the delays need.
     fn pieces(&self, samples: usize) -> usize {
-        let wanted = (samples as f64 / self.piece_samples).round() as usize;
+        let wanted = (samples as f64 / (self.piece_ms * self.rate_hz / 1000.0)).round() as usize;
         wanted.min(samples / self.shortest_window()).max(1)
     }
 

@@ -180,9 +180,7 @@ pub enum PriorError {
         expected: u32,
     },
     /// The prior is cut short or has bytes left over.
-    #[error(
-        "the prior holds {found} bytes of covariance where {expected} belong: it was cut short or changed"
-    )]
+    #[error("the prior holds {found} bytes of numbers where {expected} belong: it was cut short or changed")]
     Size {
         /// Bytes that are there.
         found: usize,
@@ -218,6 +216,14 @@ pub enum PriorError {
         prior: Vec<f64>,
         /// Delays of the features.
         features: Vec<f64>,
+    },
+    /// The prior was made for other pieces.
+    #[error("the prior is for pieces of {prior} ms, and the features have pieces of {features} ms")]
+    Pieces {
+        /// Length of the prior's pieces, ms.
+        prior: f64,
+        /// Length of the features' pieces, ms.
+        features: f64,
     },
     /// The prior was made at other rates.
     #[error("the prior is for {lowest} to {highest} Hz, and the source samples at {rate_hz} Hz")]

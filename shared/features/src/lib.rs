@@ -31,6 +31,7 @@
 #![forbid(unsafe_code)]
 
 mod cache;
+mod cohort;
 mod covariance;
 mod cross_validation;
 mod discriminant;
@@ -43,6 +44,7 @@ mod settings;
 mod shrinkage;
 mod training;
 
+pub use cohort::{Cohort, MemberId};
 pub use covariance::{LaggedLogCovariance, rest_floor};
 pub use cross_validation::CrossValidation;
 pub use discriminant::Discriminant;

@@ -59,6 +59,26 @@ impl GestureMeans {
         })
     }
 
+    pub(crate) fn from_parts(
+        classes: Vec<String>,
+        means: DMatrix<f64>,
+        deviations: DMatrix<f64>,
+    ) -> GestureMeans {
+        GestureMeans { classes, means, deviations }
+    }
+
+    pub(crate) fn classes(&self) -> &[String] {
+        &self.classes
+    }
+
+    pub(crate) fn means(&self) -> &DMatrix<f64> {
+        &self.means
+    }
+
+    pub(crate) fn deviations(&self) -> &DMatrix<f64> {
+        &self.deviations
+    }
+
     fn column(&self, class: &str) -> Option<DVector<f64>> {
         let place = self.classes.iter().position(|own| own == class)?;
         Some(self.means.column(place).into_owned())

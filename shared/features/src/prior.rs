@@ -1,10 +1,4 @@
-//! What ships from other people: how features scatter within a gesture, whoever makes it.
-//!
-//! ```text
-//! {"format":"tendon-prior","version":1,"layout":{…},"people":["1",…],"windows":60000,"classes":[…],"crc32":…}\n
-//! f32, little-endian: covariance (lower triangle row by row), and with classes: their offsets, one after the other,
-//! the covariance between people and that between repetitions
-//! ```
+//! How features scatter within a gesture, whoever makes it, and where gestures lie: other people's part in a fit.
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -14,8 +8,6 @@ use crate::error::{FitError, PriorError};
 use crate::population::Population;
 use crate::training::Training;
 
-const FORMAT: &str = "tendon-prior";
-const VERSION: u32 = 1;
 /// Beyond this many channels x delays a layout is no layout but a damaged file.
 const LARGEST_ROWS: usize = 256;
 
@@ -31,6 +23,8 @@ pub struct FeatureLayout {
     pub lowest_rate_hz: f64,
     /// Highest sampling rate.
     pub highest_rate_hz: f64,
+    /// Length of the pieces of which a window's features are the mean, ms.
+    pub piece_ms: f64,
 }
 
 impl FeatureLayout {
@@ -40,13 +34,38 @@ impl FeatureLayout {
         rows * (rows + 1) / 2
     }
 
-    fn check(&self) -> Result<(), PriorError> {
+    /// Refuses features of another layout.
+    ///
+    /// # Errors
+    ///
+    /// What differs: channels, delays, pieces or rate.
+    pub fn fits(&self, features: &LaggedLogCovariance) -> Result<(), PriorError> {
+        let FeatureLayout { channels, delays_ms, lowest_rate_hz, highest_rate_hz, piece_ms } = self;
+        let theirs = features.layout();
+        if *channels != theirs.channels {
+            return Err(PriorError::Channels { prior: *channels, features: theirs.channels });
+        }
+        if *delays_ms != theirs.delays_ms {
+            return Err(PriorError::Delays { prior: delays_ms.clone(), features: theirs.delays_ms });
+        }
+        if *piece_ms != theirs.piece_ms {
+            return Err(PriorError::Pieces { prior: *piece_ms, features: theirs.piece_ms });
+        }
+        let rate_hz = features.rate_hz();
+        if !(*lowest_rate_hz..=*highest_rate_hz).contains(&rate_hz) {
+            return Err(PriorError::Rate { lowest: *lowest_rate_hz, highest: *highest_rate_hz, rate_hz });
+        }
+        Ok(())
+    }
+
+    pub(crate) fn check(&self) -> Result<(), PriorError> {
         let rows = self.channels.checked_mul(self.delays_ms.len());
         let fields = [
             ("channels", rows.is_some_and(|rows| (1..=LARGEST_ROWS).contains(&rows))),
             ("delays_ms", self.delays_ms.iter().all(|delay| delay.is_finite())),
             ("lowest_rate_hz", self.lowest_rate_hz > 0.0 && self.lowest_rate_hz <= self.highest_rate_hz),
             ("highest_rate_hz", self.highest_rate_hz.is_finite()),
+            ("piece_ms", self.piece_ms > 0.0 && self.piece_ms.is_finite()),
         ];
         match fields.into_iter().find(|(_, fits)| !fits) {
             Some((field, _)) => Err(PriorError::Layout { field }),
@@ -75,6 +94,23 @@ impl WithinClassScatter {
         Ok(WithinClassScatter { sum: &centred * centred.transpose(), windows: session.len() })
     }
 
+    /// Nothing yet.
+    pub(crate) fn zeros(length: usize) -> WithinClassScatter {
+        WithinClassScatter { sum: DMatrix::zeros(length, length), windows: 0 }
+    }
+
+    pub(crate) fn from_parts(sum: DMatrix<f64>, windows: usize) -> WithinClassScatter {
+        WithinClassScatter { sum, windows }
+    }
+
+    pub(crate) fn sum(&self) -> &DMatrix<f64> {
+        &self.sum
+    }
+
+    pub(crate) fn windows(&self) -> usize {
+        self.windows
+    }
+
     /// Adds another session of the same person, centred on its own means.
     ///
     /// # Errors
@@ -101,25 +137,6 @@ pub struct Prior {
     population: Option<Population>,
 }
 
-#[derive(Serialize, Deserialize)]
-struct Header {
-    format: String,
-    version: u32,
-    layout: FeatureLayout,
-    people: Vec<String>,
-    windows: usize,
-    /// Those of the population; empty without one.
-    classes: Vec<String>,
-    crc32: u32,
-}
-
-/// Read before the rest of the header, which may differ between versions.
-#[derive(Deserialize)]
-struct Version {
-    format: String,
-    version: u32,
-}
-
 impl Prior {
     /// Pools the scatter of people; each window counts the same.
     ///
@@ -132,7 +149,7 @@ impl Prior {
     ) -> Result<Prior, PriorError> {
         layout.check()?;
         let length = layout.feature_count();
-        let mut total = WithinClassScatter { sum: DMatrix::zeros(length, length), windows: 0 };
+        let mut total = WithinClassScatter::zeros(length);
         let mut names = Vec::new();
         for (name, scatter) in people {
             total.add(scatter)?;
@@ -169,19 +186,7 @@ impl Prior {
     ///
     /// What differs: channels, delays or rate.
     pub fn check(&self, features: &LaggedLogCovariance) -> Result<(), PriorError> {
-        let FeatureLayout { channels, delays_ms, lowest_rate_hz, highest_rate_hz } = &self.layout;
-        let theirs = features.layout();
-        if *channels != theirs.channels {
-            return Err(PriorError::Channels { prior: *channels, features: theirs.channels });
-        }
-        if *delays_ms != theirs.delays_ms {
-            return Err(PriorError::Delays { prior: delays_ms.clone(), features: theirs.delays_ms });
-        }
-        let rate_hz = features.rate_hz();
-        if !(*lowest_rate_hz..=*highest_rate_hz).contains(&rate_hz) {
-            return Err(PriorError::Rate { lowest: *lowest_rate_hz, highest: *highest_rate_hz, rate_hz });
-        }
-        Ok(())
+        self.layout.fits(features)
     }
 
     /// The features it is for.
@@ -203,102 +208,4 @@ impl Prior {
     pub fn covariance(&self) -> &DMatrix<f64> {
         &self.covariance
     }
-
-    /// The prior as the bytes of a file: a line of JSON, then numbers as `f32`.
-    ///
-    /// # Errors
-    ///
-    /// The header cannot be written as JSON.
-    pub fn to_bytes(&self) -> Result<Vec<u8>, PriorError> {
-        let mut numbers = Vec::new();
-        write_triangle(&self.covariance, &mut numbers);
-        if let Some(population) = &self.population {
-            numbers.extend(population.offsets.iter().flat_map(|value| (*value as f32).to_le_bytes()));
-            write_triangle(&population.between_people, &mut numbers);
-            write_triangle(&population.between_repetitions, &mut numbers);
-        }
-        let classes = self.population.as_ref().map(|population| population.classes.clone());
-        let header = Header {
-            format: FORMAT.to_owned(),
-            version: VERSION,
-            layout: self.layout.clone(),
-            people: self.people.clone(),
-            windows: self.windows,
-            classes: classes.unwrap_or_default(),
-            crc32: crc32fast::hash(&numbers),
-        };
-        let mut bytes = serde_json::to_vec(&header).map_err(PriorError::Header)?;
-        bytes.push(b'\n');
-        bytes.extend_from_slice(&numbers);
-        Ok(bytes)
-    }
-
-    /// Reads what [`to_bytes`](Self::to_bytes) wrote.
-    ///
-    /// # Errors
-    ///
-    /// The bytes are no prior, are of another version, were cut short, or are damaged.
-    pub fn from_bytes(bytes: &[u8]) -> Result<Prior, PriorError> {
-        let line = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
-        let (line, numbers) = (&bytes[..line], bytes.get(line + 1..).unwrap_or(&[]));
-        let Version { format, version } = serde_json::from_slice(line).map_err(PriorError::Header)?;
-        if format != FORMAT {
-            return Err(PriorError::Format(format));
-        }
-        if version != VERSION {
-            return Err(PriorError::Version { found: version, expected: VERSION });
-        }
-        let header: Header = serde_json::from_slice(line).map_err(PriorError::Header)?;
-        let Header { layout, people, windows, classes: names, crc32, .. } = header;
-        layout.check()?;
-        let length = layout.feature_count();
-        let triangle = length * (length + 1) / 2;
-        let classes = names.len();
-        // No file is so long that this wraps around: its length is compared next.
-        let of_population = if classes == 0 { 0 } else { classes.saturating_mul(length) + 2 * triangle };
-        let expected = (triangle.saturating_add(of_population)).saturating_mul(size_of::<f32>());
-        if numbers.len() != expected {
-            return Err(PriorError::Size { found: numbers.len(), expected });
-        }
-        if crc32fast::hash(numbers) != crc32 {
-            return Err(PriorError::Checksum);
-        }
-        let mut values = numbers.as_chunks::<4>().0.iter().map(|bytes| f64::from(f32::from_le_bytes(*bytes)));
-        let covariance = read_triangle(length, &mut values)?;
-        let population = if classes == 0 {
-            None
-        } else {
-            let offsets = DMatrix::from_iterator(length, classes, values.by_ref().take(classes * length));
-            if !offsets.iter().all(|value| value.is_finite()) {
-                return Err(PriorError::NotPositive);
-            }
-            Some(Population {
-                classes: names,
-                offsets,
-                between_people: read_triangle(length, &mut values)?,
-                between_repetitions: read_triangle(length, &mut values)?,
-            })
-        };
-        Ok(Prior { layout, people, windows, covariance, population })
-    }
-}
-
-/// Appends the lower triangle, row by row.
-fn write_triangle(matrix: &DMatrix<f64>, bytes: &mut Vec<u8>) {
-    let places = (0..matrix.nrows()).flat_map(|row| (0..=row).map(move |column| (row, column)));
-    bytes.extend(places.flat_map(|at| (matrix[at] as f32).to_le_bytes()));
-}
-
-fn read_triangle(length: usize, values: &mut impl Iterator<Item = f64>) -> Result<DMatrix<f64>, PriorError> {
-    let mut covariance = DMatrix::zeros(length, length);
-    let places = (0..length).flat_map(|row| (0..=row).map(move |column| (row, column)));
-    for ((row, column), value) in places.zip(values) {
-        covariance[(row, column)] = value;
-        covariance[(column, row)] = value;
-    }
-    let finite = covariance.iter().all(|value| value.is_finite());
-    if !finite || !covariance.diagonal().iter().all(|variance| *variance > 0.0) {
-        return Err(PriorError::NotPositive);
-    }
-    Ok(covariance)
 }

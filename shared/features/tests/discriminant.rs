@@ -1,8 +1,8 @@
 //! Fitting, cross-validation and the prior: what is refused, and what must hold.
 
 use tendon_features::{
-    Class, CrossValidation, Discriminant, FeatureLayout, FitError, LaggedLogCovariance, MethodSettings,
-    Prior, PriorError, Training, WithinClassScatter,
+    Class, Cohort, CrossValidation, Discriminant, FeatureLayout, FitError, LaggedLogCovariance, MemberId,
+    MethodSettings, Prior, PriorError, Training, WithinClassScatter,
 };
 
 /// Windows of three features about the means 0, 3 and 6, in turns of the classes.
@@ -52,7 +52,13 @@ impl Session {
 }
 
 fn layout() -> FeatureLayout {
-    FeatureLayout { channels: 2, delays_ms: vec![0.0], lowest_rate_hz: 1000.0, highest_rate_hz: 2000.0 }
+    FeatureLayout {
+        channels: 2,
+        delays_ms: vec![0.0],
+        lowest_rate_hz: 1000.0,
+        highest_rate_hz: 2000.0,
+        piece_ms: 75.0,
+    }
 }
 
 fn prior() -> Prior {
@@ -198,30 +204,50 @@ fn a_fit_survives_a_file_and_a_damaged_one_is_refused() {
     assert!(error.contains("biases: 2 values were given, 3 are needed"), "{error}");
 }
 
-#[test]
-fn a_prior_survives_a_file() {
-    let prior = prior();
-    let read = Prior::from_bytes(&prior.to_bytes().expect("bytes")).expect("a prior");
-    assert_eq!(
-        (read.layout(), read.people(), read.windows()),
-        (prior.layout(), prior.people(), prior.windows())
-    );
-    assert_eq!(read.people(), ["other"]);
-    for (read, prior) in read.covariance().iter().zip(prior.covariance().iter()) {
-        assert!((read - prior).abs() <= 1e-7 * prior.abs(), "{read} is not {prior}");
+/// Three people; the third made every gesture only once.
+fn cohort() -> Cohort {
+    let mut cohort = Cohort::new(layout());
+    for number in 1..=3 {
+        let mut session = Session::new(90, 7 * u32::from(number));
+        if number == 3 {
+            session.blocks.fill(0);
+        }
+        let id = MemberId { data_set: "3DC".to_owned(), number };
+        cohort.add(id, &[session.training()], &session.training()).expect("a member");
     }
+    cohort
 }
 
 #[test]
-fn a_damaged_prior_is_refused() {
-    let bytes = prior().to_bytes().expect("bytes");
-    let refused = |bytes: &[u8]| Prior::from_bytes(bytes).expect_err("refused");
+fn a_cohort_survives_a_file_and_leaves_out_whom_it_should() {
+    let cohort = cohort();
+    let read = Cohort::from_bytes(&cohort.to_bytes().expect("bytes")).expect("a cohort");
+    assert_eq!(read.layout(), cohort.layout());
+    assert_eq!(read.members().map(ToString::to_string).collect::<Vec<_>>(), ["3DC 1", "3DC 2", "3DC 3"]);
+    let prior = |cohort: &Cohort, left_out: u16| {
+        cohort.prior(|member| member.number != left_out).expect("a prior").expect("enough people")
+    };
+    let (ours, theirs) = (prior(&read, 2), prior(&cohort, 2));
+    assert_eq!(ours.people(), ["3DC 1", "3DC 3"]);
+    assert_eq!((ours.windows(), theirs.windows()), (180, 180));
+    assert!(ours.population().is_none(), "one person with repetitions does not say how people differ");
+    assert!(prior(&read, 3).population().is_some());
+    for (read, written) in ours.covariance().iter().zip(theirs.covariance().iter()) {
+        assert!((read - written).abs() <= 1e-6, "{read} is not {written}");
+    }
+    assert!(read.prior(|_| false).expect("nobody").is_none());
+}
+
+#[test]
+fn a_damaged_cohort_is_refused() {
+    let bytes = cohort().to_bytes().expect("bytes");
+    let refused = |bytes: &[u8]| Cohort::from_bytes(bytes).expect_err("refused");
     assert!(matches!(refused(b""), PriorError::Header(_)));
     assert!(matches!(refused(b"\x89PNG\n"), PriorError::Header(_)));
     for cut in 0..bytes.len() {
         refused(&bytes[..cut]);
     }
-    assert!(matches!(refused(&bytes[..bytes.len() - 1]), PriorError::Size { found: 23, expected: 24 }));
+    assert!(matches!(refused(&bytes[..bytes.len() - 1]), PriorError::Size { .. }));
     let mut flipped = bytes.clone();
     *flipped.last_mut().expect("bytes") ^= 1;
     assert!(matches!(refused(&flipped), PriorError::Checksum));
@@ -232,12 +258,14 @@ fn a_damaged_prior_is_refused() {
         assert!(header.contains(from), "{header}");
         [header.replace(from, to).as_bytes(), &bytes[line..]].concat()
     };
-    let version = refused(&changed("\"version\":1", "\"version\":2,\"more\":0"));
-    assert!(matches!(version, PriorError::Version { found: 2, expected: 1 }));
+    let version = refused(&changed("\"version\":2", "\"version\":3,\"more\":0"));
+    assert!(matches!(version, PriorError::Version { found: 3, expected: 2 }));
     assert!(matches!(refused(&changed("tendon-prior", "tendon-person")), PriorError::Format(_)));
     let channels = refused(&changed("\"channels\":2", "\"channels\":18446744073709551615"));
     assert!(matches!(channels, PriorError::Layout { field: "channels" }));
     assert!(matches!(refused(&changed("\"channels\":2", "\"channels\":3")), PriorError::Size { .. }));
+    let repetitions = refused(&changed("\"repetitions\":12", "\"repetitions\":18446744073709551615"));
+    assert!(matches!(repetitions, PriorError::Size { .. }));
 }
 
 #[test]
@@ -255,6 +283,11 @@ fn a_prior_for_other_features_is_refused_by_name() {
     ));
     assert!(matches!(refused(features(&MethodSettings::default(), 2, 2000.0)), PriorError::Delays { .. }));
     assert!(matches!(refused(features(&settings, 2, 4000.0)), PriorError::Rate { .. }));
+    let pieces = MethodSettings { piece_ms: 50.0, ..settings.clone() };
+    assert!(matches!(
+        refused(features(&pieces, 2, 2000.0)),
+        PriorError::Pieces { prior: 75.0, features: 50.0 }
+    ));
 
     let mut other = Session::new(60, 1);
     other.features.truncate(60 * 2);

@@ -131,8 +131,13 @@ fn discriminants_are_those_of_numpy() {
     let others = Training { features: &golden.others, labels: &windows, blocks: &windows, ..training };
     let scatter = WithinClassScatter::new(&others).expect("a scatter");
     // Six features are those of three rows.
-    let layout =
-        FeatureLayout { channels: 3, delays_ms: vec![0.0], lowest_rate_hz: 1000.0, highest_rate_hz: 1000.0 };
+    let layout = FeatureLayout {
+        channels: 3,
+        delays_ms: vec![0.0],
+        lowest_rate_hz: 1000.0,
+        highest_rate_hz: 1000.0,
+        piece_ms: 75.0,
+    };
     let prior = Prior::pool(layout, [("others", &scatter)]).expect("a prior");
     let people: Vec<GestureMeans> = golden
         .people

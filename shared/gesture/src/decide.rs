@@ -6,7 +6,10 @@
 //! efforts ────────────────────────────────────────────────┼──────────▶ speed ────┘
 //!                                                         └─▶ held? ─▶ gripper, next mode
 //! ```
+//!
+//! With a person, evidence summed over windows takes the place of the vote.
 
+use crate::belief::{Belief, Believer};
 use crate::hold::{Hold, Press};
 use crate::map::{Action, Frame};
 use crate::settings::{DecisionSettings, InvalidDecisionSetting, SpeedControl, Strategy};
@@ -37,8 +40,10 @@ pub struct Decision {
     pub gesture: Gesture,
     /// Its probability; 1 if no classifier was asked.
     pub confidence: f32,
-    /// The gesture acted on, after the vote.
+    /// The gesture acted on, after the vote, or by the evidence so far.
     pub voted: Gesture,
+    /// It is not clear which gesture is made, and the arm rests for that.
+    pub is_unsure: bool,
     /// Velocity along (mm/s) and about (rad/s) the axes x, y, z of `frame`.
     pub twist: [f64; 6],
     /// Whose axes.
@@ -54,6 +59,7 @@ pub struct Decision {
 pub struct Decider {
     settings: DecisionSettings,
     votes: Votes,
+    believer: Believer,
     hold: Hold,
     mode: usize,
 }
@@ -68,8 +74,9 @@ impl Decider {
         settings.check()?;
         Ok(Decider {
             votes: Votes::new(settings.vote_windows),
+            believer: Believer::new(settings.evidence),
             settings: settings.clone(),
-            hold: Hold::new(),
+            hold: Hold::new(settings),
             mode: 0,
         })
     }
@@ -77,11 +84,19 @@ impl Decider {
     /// Decides on the next window.
     pub fn decide(&mut self, evidence: &Evidence<'_>) -> Decision {
         let (gesture, confidence) = self.recognise(evidence);
-        let voted = self.votes.cast(&self.settings.gestures, gesture);
+        let (voted, held, is_unsure) = match self.settings.strategy {
+            Strategy::Personal => match self.believe(evidence) {
+                Belief::Clear(gesture) => (gesture, gesture, false),
+                Belief::Unsure => (Gesture::REST, Gesture::REST, true),
+            },
+            Strategy::Threshold | Strategy::TwoStage | Strategy::Direct => {
+                (self.votes.cast(&self.settings.gestures, gesture), gesture, false)
+            }
+        };
         let press = {
             let mode = &self.settings.modes[self.mode];
             let action = |gesture| mode.actions.get(&gesture).copied().unwrap_or(Action::Nothing);
-            self.hold.take(&self.settings, action, gesture, evidence.captured_ns)
+            self.hold.take(&self.settings, action, held, evidence.captured_ns)
         };
         if press == Press::ChangesMode {
             self.mode = (self.mode + 1) % self.settings.modes.len();
@@ -95,6 +110,7 @@ impl Decider {
             gesture,
             confidence,
             voted,
+            is_unsure,
             twist,
             frame,
             toggles_gripper: press == Press::TogglesGripper,
@@ -105,6 +121,7 @@ impl Decider {
     /// Discards what the last windows said: windows are missing, so they say nothing about the present. The mode stays.
     pub fn restart(&mut self) {
         self.votes = Votes::new(self.settings.vote_windows);
+        self.believer = Believer::new(self.settings.evidence);
         self.hold.restart();
     }
 
@@ -113,9 +130,18 @@ impl Decider {
         &self.settings.gestures
     }
 
+    /// What the windows so far say together. A damaged window says nothing: the evidence begins anew after it.
+    fn believe(&mut self, evidence: &Evidence<'_>) -> Belief {
+        if !is_usable(evidence) {
+            self.believer = Believer::new(self.settings.evidence);
+            return Belief::Clear(Gesture::REST);
+        }
+        let Evidence { probabilities, novelty, captured_ns, .. } = *evidence;
+        self.believer.take(&self.settings.gestures, probabilities, novelty, captured_ns)
+    }
+
     fn recognise(&self, evidence: &Evidence<'_>) -> (Gesture, f32) {
-        let finite = evidence.probabilities.iter().all(|probability| probability.is_finite());
-        if !evidence.intact || !finite {
+        if !is_usable(evidence) {
             return (Gesture::REST, 1.0);
         }
         let first_candidate = match self.settings.strategy {
@@ -158,6 +184,11 @@ impl Decider {
             }
         }
     }
+}
+
+/// Whether a window can say anything.
+fn is_usable(evidence: &Evidence<'_>) -> bool {
+    evidence.intact && evidence.probabilities.iter().all(|probability| probability.is_finite())
 }
 
 #[cfg(test)]
@@ -351,6 +382,52 @@ mod tests {
         held(&mut decider, &[(Gesture::GRIP, 10)]);
         decider.restart();
         assert!(toggles(&held(&mut decider, &[(Gesture::REST, 3)])).is_empty());
+    }
+
+    /// A person's gestures, every 25 ms, with this novelty.
+    fn personal(settings: &DecisionSettings, row: &[(Gesture, usize, f32)]) -> Vec<Decision> {
+        let mut decider = Decider::new(settings).unwrap();
+        let windows =
+            row.iter().flat_map(|(gesture, count, novelty)| std::iter::repeat_n((gesture, novelty), *count));
+        let decide = |(window, (gesture, novelty)): (usize, (&Gesture, &f32))| {
+            decider.decide(&Evidence {
+                probabilities: &certain(*gesture),
+                efforts: &[0.0, 0.5, 1.0, 1.0, 1.0, 1.0],
+                novelty: *novelty,
+                moving: false,
+                intact: true,
+                captured_ns: window as u64 * 25_000_000,
+            })
+        };
+        windows.enumerate().map(decide).collect()
+    }
+
+    #[test]
+    fn a_person_moves_the_arm_by_evidence_and_effort_and_unsure_windows_hold_it_still() {
+        let settings = DecisionSettings { strategy: Strategy::Personal, ..DecisionSettings::default() };
+        let rows = [(Gesture::REST, 4, 0.5), (Gesture::FLEXION, 4, 0.5), (Gesture::FLEXION, 2, 2.0)];
+        let decisions = personal(&settings, &rows);
+        assert_eq!(decisions[5].twist[2], -50.0);
+        assert!(decisions[8..].iter().all(|decision| decision.is_unsure && decision.twist == [0.0; 6]));
+        let light = personal(&settings, &[(Gesture::REST, 4, 0.5), (Gesture::EXTENSION, 4, 0.5)]);
+        assert!((10.0..30.0).contains(&light[7].twist[2]), "{:?}", light[7].twist);
+        let constant = DecisionSettings { speed_control: SpeedControl::Constant, ..settings };
+        let light = personal(&constant, &[(Gesture::REST, 4, 0.5), (Gesture::EXTENSION, 4, 0.5)]);
+        assert_eq!(light[7].twist[2], 50.0);
+    }
+
+    #[test]
+    fn a_persons_grip_moves_the_gripper_once_it_was_held_and_again_once_it_was_let_go() {
+        let settings = DecisionSettings { strategy: Strategy::Personal, ..DecisionSettings::default() };
+        let rows = [(Gesture::REST, 4, 0.5), (Gesture::GRIP, 200, 0.5)];
+        let toggled = toggles(&personal(&settings, &rows));
+        assert_eq!(toggled.len(), 1, "{toggled:?}");
+        assert!((16..20).contains(&toggled[0]), "{toggled:?}");
+        let rows = [rows[0], (Gesture::GRIP, 90, 0.5), (Gesture::REST, 20, 0.5), (Gesture::GRIP, 20, 0.5)];
+        assert_eq!(toggles(&personal(&settings, &rows)).len(), 2);
+        // A window of doubt in the middle lets go of nothing.
+        let rows = [rows[0], (Gesture::GRIP, 90, 0.5), (Gesture::GRIP, 1, 3.0), (Gesture::GRIP, 90, 0.5)];
+        assert_eq!(toggles(&personal(&settings, &rows)).len(), 1);
     }
 
     proptest! {

@@ -1,13 +1,13 @@
 //! Gestures that are held act once: on the gripper, on the mode.
 //!
 //! ```text
-//! grip  ────┌──────────┐────     the gripper moves after grip_windows
-//!           └ toggle               with long_grip_s: when the grip ends, or the mode changes once it is long enough
+//! grip  ────┌──────────┐────     the gripper moves once the grip is held long enough
+//!           └ toggle               with long_grip_s: when the grip ends, or the mode changes once it is longer than that
 //! ```
 
 use crate::Gesture;
 use crate::map::Action;
-use crate::settings::DecisionSettings;
+use crate::settings::{DecisionSettings, Strategy};
 
 /// What a held gesture does now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,30 +17,46 @@ pub(crate) enum Press {
     ChangesMode,
 }
 
+/// What makes a gesture a held one.
+#[derive(Clone, Copy, Debug)]
+enum Rule {
+    /// So many windows in a row; the gripper then moves again and again (the paper's rule).
+    Windows(u32),
+    /// So long, in ns; it acts again once it was let go for as long.
+    Time(u64),
+}
+
 /// The gesture that is held, and what it has led to.
 #[derive(Clone, Debug)]
 pub(crate) struct Hold {
+    rule: Rule,
     gesture: Gesture,
     windows: u32,
     since_ns: u64,
-    /// It has changed the mode: what it would do in the new one waits until it was let go.
-    has_changed_mode: bool,
+    /// A gesture that has acted and was not let go since, and when it was last made.
+    spent: Option<(Gesture, u64)>,
     toggled_ns: Option<u64>,
 }
 
 impl Hold {
-    pub(crate) fn new() -> Hold {
-        Hold { gesture: Gesture::REST, windows: 0, since_ns: 0, has_changed_mode: false, toggled_ns: None }
+    pub(crate) fn new(settings: &DecisionSettings) -> Hold {
+        let rule = match settings.strategy {
+            Strategy::Personal => Rule::Time((settings.evidence.hold_ms * 1e6) as u64),
+            Strategy::Threshold | Strategy::TwoStage | Strategy::Direct => {
+                Rule::Windows(settings.grip_windows)
+            }
+        };
+        Hold { rule, gesture: Gesture::REST, windows: 0, since_ns: 0, spent: None, toggled_ns: None }
     }
 
     /// Windows are missing: nobody knows whether the gesture was held through them.
     pub(crate) fn restart(&mut self) {
-        *self = Hold { toggled_ns: self.toggled_ns, ..Hold::new() };
+        (self.gesture, self.windows) = (Gesture::REST, 0);
     }
 
-    /// Whether this gesture still is the one that has changed the mode.
+    /// Whether this gesture has acted and was not let go since.
     pub(crate) fn is_spent(&self, gesture: Gesture) -> bool {
-        self.has_changed_mode && self.gesture == gesture
+        self.spent.is_some_and(|(spent, _)| spent == gesture)
     }
 
     /// Takes the gesture of a window; `action` says what a gesture does in the present mode.
@@ -51,40 +67,69 @@ impl Hold {
         gesture: Gesture,
         captured_ns: u64,
     ) -> Press {
+        let was_spent = self.is_spent(self.gesture);
+        self.let_go(gesture, captured_ns);
         if gesture == self.gesture {
             self.windows = self.windows.saturating_add(1);
         } else {
-            let released = self.clone();
-            self.restart();
+            let was_held = self.is_held(captured_ns) && !was_spent;
+            let is_short_grip =
+                settings.long_grip_s.is_some() && was_held && action(self.gesture) == Action::Gripper;
             (self.gesture, self.windows, self.since_ns) = (gesture, 1, captured_ns);
-            let is_short_grip = settings.long_grip_s.is_some()
-                && action(released.gesture) == Action::Gripper
-                && released.windows >= settings.grip_windows
-                && !released.has_changed_mode;
             if is_short_grip && self.toggles(settings, captured_ns) {
                 return Press::TogglesGripper;
             }
         }
-        let is_held = self.windows >= settings.grip_windows;
+        if !self.is_held(captured_ns) || self.is_spent(gesture) {
+            return Press::Nothing;
+        }
         match (action(gesture), settings.long_grip_s) {
-            (Action::NextMode, _) if is_held && !self.has_changed_mode => {
-                self.has_changed_mode = true;
-                Press::ChangesMode
-            }
-            (Action::Gripper, Some(long_grip_s)) if !self.has_changed_mode => {
+            (Action::NextMode, _) => self.changes_mode(captured_ns),
+            (Action::Gripper, Some(long_grip_s)) => {
                 let held_ns = captured_ns.saturating_sub(self.since_ns);
-                if is_held && held_ns as f64 * 1e-9 >= long_grip_s {
-                    self.has_changed_mode = true;
-                    return Press::ChangesMode;
+                if held_ns as f64 * 1e-9 >= long_grip_s {
+                    self.changes_mode(captured_ns)
+                } else {
+                    Press::Nothing
                 }
-                Press::Nothing
             }
-            (Action::Gripper, None) if is_held && self.toggles(settings, captured_ns) => {
-                self.windows = 0;
+            (Action::Gripper, None) if self.toggles(settings, captured_ns) => {
+                match self.rule {
+                    Rule::Windows(_) => self.windows = 0,
+                    Rule::Time(_) => self.spent = Some((gesture, captured_ns)),
+                }
                 Press::TogglesGripper
             }
             _ => Press::Nothing,
         }
+    }
+
+    /// Forgets that a gesture has acted once it was let go.
+    fn let_go(&mut self, gesture: Gesture, captured_ns: u64) {
+        let away_ns = match self.rule {
+            Rule::Windows(_) => 0,
+            Rule::Time(hold_ns) => hold_ns,
+        };
+        match &mut self.spent {
+            Some((spent, made_ns)) if *spent == gesture => *made_ns = captured_ns,
+            // A time before comes from a source that started anew.
+            Some((_, made_ns)) if captured_ns.checked_sub(*made_ns).is_none_or(|away| away >= away_ns) => {
+                self.spent = None;
+            }
+            _ => {}
+        }
+    }
+
+    fn is_held(&self, captured_ns: u64) -> bool {
+        match self.rule {
+            Rule::Windows(windows) => self.windows >= windows,
+            Rule::Time(hold_ns) => self.windows > 0 && captured_ns.saturating_sub(self.since_ns) >= hold_ns,
+        }
+    }
+
+    fn changes_mode(&mut self, captured_ns: u64) -> Press {
+        self.spent = Some((self.gesture, captured_ns));
+        Press::ChangesMode
     }
 
     /// Toggles the gripper unless it is too soon after the last time.

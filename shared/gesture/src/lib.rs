@@ -1,11 +1,12 @@
 //! Gestures, and the decisions that turn a stream of class probabilities into intentions.
 //!
 //! ```text
-//! probabilities ─▶ strategy ─▶ gesture ─▶ vote of three ─┬─▶ mode ─▶ velocity along or about an axis
-//!     activity ──▶                                       └─▶ held ─▶ gripper: open | closed, next mode
+//! probabilities ─▶ strategy ─▶ gesture ─▶ vote, or evidence of a person ─┬─▶ mode ─▶ velocity along or about an axis
+//!     activity ──▶                                                       └─▶ held ─▶ gripper: open | closed, next mode
 //! ```
 #![forbid(unsafe_code)]
 
+mod belief;
 mod class;
 mod decide;
 mod hold;
@@ -15,6 +16,7 @@ mod set;
 mod settings;
 mod vote;
 
+pub use belief::EvidenceSettings;
 pub use class::Class;
 pub use decide::{Decider, Decision, Evidence};
 pub use label::{Gesture, LONGEST_NAME, NoGestureName, UnknownGesture};

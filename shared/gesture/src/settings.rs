@@ -4,6 +4,7 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::GestureSet;
+use crate::belief::EvidenceSettings;
 use crate::map::{Action, InvalidModes, Mode, Motion, check_modes};
 
 /// How rest and movement are told apart.
@@ -49,9 +50,9 @@ pub struct DecisionSettings {
     pub gestures: GestureSet,
     /// How rest and movement are told apart.
     pub strategy: Strategy,
-    /// Windows that vote, the current one included.
+    /// Windows that vote in the paper's strategies, the current one included.
     pub vote_windows: usize,
-    /// Grips in a row that toggle the gripper.
+    /// Grips in a row that toggle the gripper, in the paper's strategies.
     pub grip_windows: u32,
     /// Shortest time between two toggles of the gripper, in s.
     pub grip_interval_s: f64,
@@ -65,6 +66,8 @@ pub struct DecisionSettings {
     pub speed_control: SpeedControl,
     /// Efforts below this, as a share of a comfortable contraction, do not move the arm.
     pub effort_dead_zone: f64,
+    /// When a gesture of a person is clear enough, for the strategy `personal`.
+    pub evidence: EvidenceSettings,
     /// What gestures do, one table a mode. The first is on when a session begins.
     pub modes: Vec<Mode>,
 }
@@ -94,6 +97,7 @@ impl Default for DecisionSettings {
             rotation_speed_deg_per_s: 20.0,
             speed_control: SpeedControl::Proportional,
             effort_dead_zone: 0.1,
+            evidence: EvidenceSettings::default(),
             modes: vec![Mode::default()],
         }
     }
@@ -146,6 +150,7 @@ impl DecisionSettings {
         if !(0.0..=0.9).contains(&self.effort_dead_zone) {
             return invalid("effort_dead_zone", self.effort_dead_zone, "take 0 to 0.9");
         }
+        self.evidence.check()?;
         Ok(check_modes(&self.modes, &self.gestures, self.long_grip_s.is_some())?)
     }
 

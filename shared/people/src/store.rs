@@ -43,8 +43,8 @@ pub enum PeopleError {
     },
     /// Somebody has this name.
     #[error(
-        "there is a person `{name}` already: take another name, correct that one with `tendon calibrate {name} \
-         --update`, or remove {}",
+        "there is a person `{name}` already, in {}: take another name, or add --replace to put the new calibration in \
+         its place",
         folder.display()
     )]
     Exists {

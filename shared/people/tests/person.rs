@@ -307,7 +307,7 @@ fn people_are_kept_by_name_for_their_owner_alone() {
     }
     assert_eq!(people.find(&anna).expect("found"), person);
     let again = people.add(&person).expect_err("refused").to_string();
-    assert!(again.contains("there is a person `anna` already") && again.contains("--update"), "{again}");
+    assert!(again.contains("there is a person `anna` already") && again.contains("--replace"), "{again}");
     people.replace(&person).expect("replaced");
     // What else lies there is nobody.
     std::fs::create_dir(folder.path().join("people/empty")).expect("a folder");

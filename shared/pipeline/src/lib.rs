@@ -95,7 +95,24 @@ impl Pipeline {
         &self.recogniser
     }
 
-    /// Goes back to the start, for another recording: resets filters, calibration and votes.
+    /// How many more samples the activity detector's calibration needs; 0 once it is over.
+    pub fn calibration_left_samples(&self) -> usize {
+        self.chain.calibration_left_samples()
+    }
+
+    /// Goes back to the start for another recording of the same person: resets filters and votes, but not what the
+    /// activity detector's calibration has measured.
+    ///
+    /// # Errors
+    /// None that [`Pipeline::new`] has not given before.
+    pub fn next_recording(&mut self) -> Result<(), PipelineError> {
+        let calibrated = self.chain.clone();
+        self.restart()?;
+        self.chain.take_calibration(&calibrated);
+        Ok(())
+    }
+
+    /// Goes back to the start, for another person: resets filters, calibration and votes.
     ///
     /// # Errors
     /// None that [`Pipeline::new`] has not given before.

@@ -6,7 +6,8 @@
 //! anna/monday.csv,1,monday,0,extension,12000,20000 at its own rate; the end sample is not part of the trial
 //! ben.csv,2,,1,grip,,                              no start, no end: the whole file
 //! ```
-//! Columns may stand in any order; `session`, `start_sample` and `end_sample` may be left out. All trials of a file
+//! Columns may stand in any order; `session`, `start_sample`, `end_sample` and `asked` may be left out. What stands in
+//! `asked`, for people, says how the gesture was asked for. All trials of a file
 //! are of one person and session: the filter runs through the file without a break.
 
 mod problem;
@@ -26,8 +27,8 @@ pub use problem::{LabelsError, LabelsProblem};
 pub const FILE_NAME: &str = "labels.csv";
 
 /// Its columns.
-pub const COLUMNS: [&str; 7] =
-    ["file", "person", "session", "repetition", "gesture", "start_sample", "end_sample"];
+pub const COLUMNS: [&str; 8] =
+    ["file", "person", "session", "repetition", "gesture", "start_sample", "end_sample", "asked"];
 /// Of these, those that must be there.
 const REQUIRED: [&str; 4] = ["file", "person", "repetition", "gesture"];
 

@@ -1,4 +1,4 @@
-//! EMG recordings: read without being loaded, and replayed at a session's rate.
+//! EMG recordings: read without being loaded, replayed at a session's rate, and written as they are made.
 //!
 //! ```text
 //! file ─▶ memory map ─▶ table (line by line) ─┐
@@ -12,6 +12,8 @@
 //! How files lie on disk is a *layout*: [`three_dc`], [`ozdemir`], or tables with [`labels`]. A layout turns names and
 //! contents into [`Segment`]s, from which a [`RecordingSource`] is opened.
 //!
+//! [`Recorder`] writes tables with labels.
+//!
 //! Nothing is allocated a sample once a recording is open, and memory use does not grow with its length.
 #![deny(unsafe_code)]
 
@@ -22,6 +24,7 @@ mod mapped;
 pub mod mat;
 pub mod npy;
 pub mod ozdemir;
+mod recorder;
 mod replay;
 mod segment;
 mod source;
@@ -30,6 +33,7 @@ pub mod three_dc;
 
 pub use check::{CueSpan, Summary, check};
 pub use error::RecordingError;
+pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError};
 pub use replay::{ReplayBlock, ReplayStream};
 pub use segment::{Notice, Segment, SkippedEntry};
 pub use source::{Frame, RecordingSettings, RecordingSource};

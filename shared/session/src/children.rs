@@ -46,6 +46,10 @@ pub enum Event {
     Ended(Stage),
     /// A key for an order to this stage.
     Order(Stage, Order),
+    /// The key that lets what waits for it go on.
+    GoOn,
+    /// The key for the last once more.
+    Redo,
     /// A signal, or the key for it.
     Stop,
 }
@@ -127,7 +131,7 @@ impl SealedConfig {
     }
 }
 
-/// All stages of a session. Dropping it stops the robot and kills what still runs.
+/// The stages of a session. Dropping it stops the robot and kills what still runs.
 #[derive(Debug)]
 pub struct Children {
     /// Where the programs lie.
@@ -183,7 +187,7 @@ pub fn check_source_program(config: &Config) -> Result<(), ChildrenError> {
 }
 
 impl Children {
-    /// Starts all stages, which lie beside this program, on this configuration; instead of the acquisition there, the
+    /// Starts `stages`, which lie beside this program, on this configuration; instead of the acquisition there, the
     /// program that the configuration names. What they say comes as `events`, what they write to standard error goes to
     /// `standard_error`.
     ///
@@ -191,6 +195,7 @@ impl Children {
     ///
     /// [`ChildrenError`] when one cannot be started; those that were are stopped.
     pub fn start(
+        stages: &[Stage],
         config: &Config,
         events: &Sender<Event>,
         robot: &RobotLine,
@@ -209,7 +214,7 @@ impl Children {
             is_quiet: Arc::default(),
             running: Vec::new(),
         };
-        for stage in Stage::ALL {
+        for &stage in stages {
             children.start_stage(stage, false)?;
         }
         Ok(children)

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tendon_messages::Stage;
 use tendon_process::with_causes;
-use tendon_transport::{ReceiveError, shared_memory_directory};
+use tendon_transport::{ReceiveError, SessionError, shared_memory_directory};
 
 use crate::children::ChildrenError;
 
@@ -44,6 +44,12 @@ pub enum SessionFailure {
         /// One of them.
         file: PathBuf,
     },
+    /// The source gives no samples any more.
+    #[error("no samples for {} s: check the amplifier and its connection", silence.as_secs())]
+    NoSamples {
+        /// How long there were none.
+        silence: Duration,
+    },
     /// Stages had to be killed at the end.
     #[error("{names} did not stop and had to be killed")]
     Killed {
@@ -53,6 +59,9 @@ pub enum SessionFailure {
     /// A stage could not be started or reaped.
     #[error(transparent)]
     Children(#[from] ChildrenError),
+    /// The session cannot be joined.
+    #[error(transparent)]
+    Session(#[from] SessionError),
     /// What the stages say could not be read.
     #[error("cannot read what the stages say")]
     Observer(#[from] ReceiveError),

@@ -6,6 +6,8 @@
 //! SIGINT, SIGTERM, SIGHUP ─────┼▶ RobotLine::end, then Event::Stop
 //! the terminal is gone ────────┘
 //! e f u r g n, 0 to 9 (with --keyboard) ▶ Event::Order to acquisition
+//!
+//! In a calibration, which has no arm: space, Enter ▶ Event::GoOn; r ▶ Event::Redo
 //! ```
 
 use std::os::fd::AsFd;
@@ -94,16 +96,12 @@ impl Keyboard {
         tcgetpgrp(std::io::stdin()).is_ok_and(|group| group == getpgrp())
     }
 
-    /// Listens to the keys for stop, arm and quit, and to those for `gestures` if they are given.
+    /// Listens to these keys.
     ///
     /// # Errors
     ///
     /// [`KeyboardError`] when standard input is no terminal.
-    pub fn listen(
-        robot: &RobotLine,
-        events: &Sender<Event>,
-        gestures: Option<&GestureSet>,
-    ) -> Result<Keyboard, KeyboardError> {
+    pub fn listen(robot: &RobotLine, events: &Sender<Event>, keys: Keys) -> Result<Keyboard, KeyboardError> {
         let before = tcgetattr(std::io::stdin()).map_err(|_| KeyboardError::NoTerminal)?;
         let mut raw = before.clone();
         cfmakeraw(&mut raw);
@@ -111,10 +109,10 @@ impl Keyboard {
         raw.output_flags.insert(OutputFlags::OPOST);
         tcsetattr(std::io::stdin(), SetArg::TCSANOW, &raw).map_err(|_| KeyboardError::NoTerminal)?;
         let keyboard = Keyboard { before };
-        let (robot, events, gestures) = (robot.clone(), events.clone(), gestures.cloned());
+        let (robot, events) = (robot.clone(), events.clone());
         std::thread::Builder::new()
             .name("keyboard".to_owned())
-            .spawn(move || hear(&robot, &events, gestures.as_ref()))
+            .spawn(move || hear(&robot, &events, &keys))
             .map_err(KeyboardError::Thread)?;
         Ok(keyboard)
     }
@@ -127,6 +125,17 @@ impl Drop for Keyboard {
     }
 }
 
+/// Which keys mean something.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Keys {
+    /// Stop, arm and quit.
+    Arm,
+    /// The same, and those for the gestures of the simulated person.
+    Gestures(GestureSet),
+    /// Go on, redo and quit.
+    Guide,
+}
+
 /// What a key means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Key {
@@ -134,10 +143,12 @@ enum Key {
     Arm,
     Quit,
     Gesture(Gesture),
+    GoOn,
+    Redo,
 }
 
 /// The thread: obeys keys until the terminal is gone.
-fn hear(robot: &RobotLine, events: &Sender<Event>, gestures: Option<&GestureSet>) {
+fn hear(robot: &RobotLine, events: &Sender<Event>, keys: &Keys) {
     let mut bytes = [0; 64];
     loop {
         let count = match read(std::io::stdin(), &mut bytes) {
@@ -164,12 +175,14 @@ fn hear(robot: &RobotLine, events: &Sender<Event>, gestures: Option<&GestureSet>
                 let order = Order::Gesture { gesture, effort: 1.0 };
                 events.send(Event::Order(Stage::Acquisition, order)).is_ok()
             }
+            Key::GoOn => events.send(Event::GoOn).is_ok(),
+            Key::Redo => events.send(Event::Redo).is_ok(),
         };
         if count == 0 {
             quit(robot, events);
             return;
         }
-        if !meaning(&bytes[..count], gestures).iter().all(is_heard) {
+        if !meaning(&bytes[..count], keys).iter().all(is_heard) {
             return;
         }
     }
@@ -210,25 +223,32 @@ pub fn gesture_keys(gestures: &GestureSet) -> String {
 
 /// What these bytes mean together, in the order in which to obey: a stop comes before all else, and counts also where the
 /// session is to end.
-fn meaning(bytes: &[u8], gestures: Option<&GestureSet>) -> Vec<Key> {
-    let is_stop = bytes.contains(&b' ');
+fn meaning(bytes: &[u8], keys: &Keys) -> Vec<Key> {
+    let is_guide = *keys == Keys::Guide;
+    let is_stop = !is_guide && bytes.contains(&b' ');
     if bytes.first() == Some(&ESCAPE) {
         // Alone it quits; an arrow key sends it before other bytes, which mean nothing here.
         let is_alone = bytes.len() == 1 && !wait_for_input(PollTimeout::from(SEQUENCE_MS));
         return is_stop.then_some(Key::Stop).into_iter().chain(is_alone.then_some(Key::Quit)).collect();
     }
-    let keys = bytes.iter().map(|byte| match *byte {
+    let pressed = bytes.iter().map(|byte| match *byte {
         // Also what ends or stops a program elsewhere: Ctrl-\\ and Ctrl-Z.
         CONTROL_C | CONTROL_BACKSLASH | CONTROL_Z | b'q' | b'Q' => Some(Key::Quit),
+        b' ' | b'\r' | b'\n' if is_guide => Some(Key::GoOn),
+        b'r' | b'R' if is_guide => Some(Key::Redo),
+        _ if is_guide => None,
         b'a' | b'A' => Some(Key::Arm),
-        byte => gestures.and_then(|gestures| gesture_of(gestures, byte)).map(Key::Gesture),
+        byte => match keys {
+            Keys::Gestures(gestures) => gesture_of(gestures, byte).map(Key::Gesture),
+            Keys::Arm | Keys::Guide => None,
+        },
     });
-    let keys: Vec<Key> = keys.flatten().collect();
-    match (is_stop, keys.contains(&Key::Quit)) {
+    let pressed: Vec<Key> = pressed.flatten().collect();
+    match (is_stop, pressed.contains(&Key::Quit)) {
         (true, true) => vec![Key::Stop, Key::Quit],
         (true, false) => vec![Key::Stop],
         (false, true) => vec![Key::Quit],
-        (false, false) => keys.last().copied().into_iter().collect(),
+        (false, false) => pressed.last().copied().into_iter().collect(),
     }
 }
 
@@ -238,18 +258,28 @@ mod tests {
 
     #[test]
     fn keys_mean_what_the_help_line_says_and_a_stop_comes_before_all_else() {
-        assert_eq!(meaning(b" ", None), [Key::Stop]);
-        assert_eq!(meaning(b"a", None), [Key::Arm]);
-        assert_eq!(meaning(b"q", None), [Key::Quit]);
-        assert_eq!(meaning(&[CONTROL_C], None), [Key::Quit]);
-        assert_eq!(meaning(b"x", None), []);
-        assert_eq!(meaning(b"e", None), []);
-        assert_eq!(meaning(b"e", Some(&GestureSet::default())), [Key::Gesture(Gesture::EXTENSION)]);
-        assert_eq!(meaning(b"an r", Some(&GestureSet::default())), [Key::Stop]);
-        assert_eq!(meaning(b"aa", Some(&GestureSet::default())), [Key::Arm]);
-        assert_eq!(meaning(b"2", Some(&GestureSet::default())), [Key::Gesture(Gesture::FLEXION)]);
-        assert_eq!(meaning(b"6", Some(&GestureSet::default())), []);
-        assert_eq!(meaning(b"\x1b[A", None), [], "an arrow key");
+        assert_eq!(meaning(b" ", &Keys::Arm), [Key::Stop]);
+        assert_eq!(meaning(b"a", &Keys::Arm), [Key::Arm]);
+        assert_eq!(meaning(b"q", &Keys::Arm), [Key::Quit]);
+        assert_eq!(meaning(&[CONTROL_C], &Keys::Arm), [Key::Quit]);
+        assert_eq!(meaning(b"x", &Keys::Arm), []);
+        assert_eq!(meaning(b"e", &Keys::Arm), []);
+        assert_eq!(meaning(b"e", &Keys::Gestures(GestureSet::default())), [Key::Gesture(Gesture::EXTENSION)]);
+        assert_eq!(meaning(b"an r", &Keys::Gestures(GestureSet::default())), [Key::Stop]);
+        assert_eq!(meaning(b"aa", &Keys::Gestures(GestureSet::default())), [Key::Arm]);
+        assert_eq!(meaning(b"2", &Keys::Gestures(GestureSet::default())), [Key::Gesture(Gesture::FLEXION)]);
+        assert_eq!(meaning(b"6", &Keys::Gestures(GestureSet::default())), []);
+        assert_eq!(meaning(b"\x1b[A", &Keys::Arm), [], "an arrow key");
+    }
+
+    #[test]
+    fn in_a_calibration_space_goes_on_and_nothing_speaks_of_an_arm() {
+        for bytes in [&b" "[..], b"\r", b"\n"] {
+            assert_eq!(meaning(bytes, &Keys::Guide), [Key::GoOn], "{bytes:?}");
+        }
+        assert_eq!(meaning(b"r", &Keys::Guide), [Key::Redo]);
+        assert_eq!(meaning(b"ae0", &Keys::Guide), []);
+        assert_eq!(meaning(b" q", &Keys::Guide), [Key::Quit]);
     }
 
     #[test]
@@ -257,15 +287,16 @@ mod tests {
         let gestures = ["rest", "fist", "grip"].map(|name| name.parse().unwrap());
         let gestures = GestureSet::new(gestures.to_vec()).unwrap();
         assert_eq!(gesture_keys(&gestures), "keys: n rest, 1 fist, g grip");
-        assert_eq!(meaning(b"1", Some(&gestures)), [Key::Gesture("fist".parse().unwrap())]);
-        assert_eq!(meaning(b"e", Some(&gestures)), []);
+        let keys = Keys::Gestures(gestures);
+        assert_eq!(meaning(b"1", &keys), [Key::Gesture("fist".parse().unwrap())]);
+        assert_eq!(meaning(b"e", &keys), []);
     }
 
     #[test]
     fn a_stop_counts_whatever_comes_with_it() {
         for bytes in [&b" q"[..], b"q ", b" \x03", b"a q"] {
-            assert_eq!(meaning(bytes, None), [Key::Stop, Key::Quit], "{bytes:?}");
+            assert_eq!(meaning(bytes, &Keys::Arm), [Key::Stop, Key::Quit], "{bytes:?}");
         }
-        assert_eq!(meaning(b"\x1b ", None), [Key::Stop]);
+        assert_eq!(meaning(b"\x1b ", &Keys::Arm), [Key::Stop]);
     }
 }

@@ -10,6 +10,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod acquisition;
 mod arm_stops;
 mod children;
 mod failure;
@@ -21,11 +22,12 @@ mod robot_line;
 mod watch;
 mod writer;
 
+pub use acquisition::{AcquisitionWatch, Heard};
 pub use arm_stops::{is_found_waiting, stop_words};
 pub use children::{ChildrenError, Event, check_source_program};
 pub use failure::SessionFailure;
 pub use find::{BecomeOwnerError, become_owner};
-pub use keys::{Keyboard, KeyboardError, gesture_keys, stop_on_signals};
+pub use keys::{Keyboard, KeyboardError, Keys, gesture_keys, stop_on_signals};
 pub use robot_line::RobotLine;
 pub use watch::{Turn, Usage, Watch};
 pub use writer::{OutputError, Writer};

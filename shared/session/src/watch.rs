@@ -113,7 +113,7 @@ impl<'a> Watch<'a> {
         observer: Observer,
         standard_error: &Writer,
     ) -> Result<Watch<'a>, ChildrenError> {
-        let children = Children::start(config, sender, robot, standard_error)?;
+        let children = Children::start(&Stage::ALL, config, sender, robot, standard_error)?;
         Ok(Watch {
             config,
             events,
@@ -152,7 +152,7 @@ impl<'a> Watch<'a> {
                 Ok(Event::Stop) => return Ok(Turn::Over),
                 Ok(Event::Ended(stage)) => return self.ended(stage, true),
                 Ok(Event::Order(stage, order)) => self.children.order(stage, order),
-                Err(_) => {}
+                Ok(Event::GoOn | Event::Redo) | Err(_) => {}
             }
             self.observer.gather(|_| ())?;
             self.look_at_files()?;
@@ -197,6 +197,7 @@ impl<'a> Watch<'a> {
             Ok(Event::Ended(stage)) if self.robot.is_ending() => return self.ended(stage, false),
             Ok(Event::Ended(stage)) => self.restart(stage)?,
             Ok(Event::Ready(stage, ready)) => self.go_on(stage, ready),
+            Ok(Event::GoOn | Event::Redo) => {}
             Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
         }
         let mut stops = Vec::new();

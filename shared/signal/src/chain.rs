@@ -134,6 +134,12 @@ impl SignalChain {
         self.activity.baselines()
     }
 
+    /// Takes over what the activity detector of `other`, a chain of the same settings, has measured. At rest.
+    pub fn take_calibration(&mut self, other: &SignalChain) {
+        self.activity = other.activity.clone();
+        self.activity.restart();
+    }
+
     /// Takes samples `from..` of `block`, `[channels × samples]`, up to the end of the next window at most,
     /// so that every window can be written as soon as its newest sample is in.
     ///

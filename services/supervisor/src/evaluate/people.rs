@@ -4,23 +4,18 @@ use std::path::Path;
 
 use anyhow::bail;
 use serde::Serialize;
-use tendon_config::Config;
-use tendon_dataset::{DatasetSettings, StoredDataset};
+use tendon_dataset::StoredDataset;
 use tendon_evaluation::{PersonalError, PersonalScores, PersonalSettings, score_people};
 use tendon_figures::write_score_figures;
 use tendon_output::{OutputFile, OutputFolder, collect};
 use tendon_provenance::Provenance;
-use tendon_recordings::Channel;
-use tendon_signal::{OnsetMethod, OnsetSettings};
 
 use super::Options;
 use crate::Failure;
 use crate::options::WINDOW_KEYS;
 use crate::output::{left_out, print};
+use crate::personal::{dataset_settings, shipped_prior};
 use crate::progress::Works;
-
-/// A movement counts from here on, ms after its cue: by then everybody has followed it.
-const MOVEMENT_BEGINS_MS: f64 = 1200.0;
 
 /// What `--json` writes.
 #[derive(Debug, Serialize)]
@@ -40,8 +35,9 @@ pub fn evaluate(
 ) -> Result<(), Failure> {
     let settings = settings(options, repetitions).map_err(Failure::input)?;
     let mut works = Works::default();
-    let mut progress = |done, total| works.show(done, total, "recordings", String::new);
-    let scored = score_people(&options.paths, &settings, &options.people, &mut progress);
+    let shipped = shipped_prior().map_err(Failure::input)?;
+    let mut progress = |done, total| works.show(done, total, "people", String::new);
+    let scored = score_people(&options.paths, &settings, &options.people, shipped.as_ref(), &mut progress);
     works.clear();
     let (scores, tally) = scored.map_err(failure)?;
     let provenance = provenance(options, &settings, begun).map_err(Failure::running)?;
@@ -60,20 +56,9 @@ fn settings(options: &Options, repetitions: u32) -> anyhow::Result<PersonalSetti
             data_set.display()
         );
     }
-    let Config { acquisition, dsp, .. } = options.base.configuration_of("tendon evaluate", &WINDOW_KEYS)?;
-    let default = DatasetSettings::default();
+    let config = options.base.configuration_of("tendon evaluate", &WINDOW_KEYS)?;
     Ok(PersonalSettings {
-        dataset: DatasetSettings {
-            channels: options.channels().into_iter().map(Channel::Index).collect(),
-            recording_rate_hz: options.recording_rate_hz,
-            sample_rate_hz: acquisition.sample_rate_hz,
-            filter: Some(dsp.filter),
-            windows: dsp.windows,
-            onset: OnsetSettings { method: OnsetMethod::Fixed, ..default.onset },
-            fallback_ms: MOVEMENT_BEGINS_MS,
-            rest_start_ms: MOVEMENT_BEGINS_MS,
-            ..default
-        },
+        dataset: dataset_settings(&config, &options.channels(), options.recording_rate_hz),
         method: Default::default(),
         repetitions,
     })
@@ -98,7 +83,7 @@ fn provenance(
 
 fn failure(error: PersonalError) -> Failure {
     match error {
-        PersonalError::Fit(_) | PersonalError::Prior(_) => Failure::running(error),
+        PersonalError::Recognise(_) | PersonalError::Prior(_) => Failure::running(error),
         PersonalError::Listing(_)
         | PersonalError::People(_)
         | PersonalError::Features(_)
@@ -110,6 +95,7 @@ fn text(options: &Options, scores: &PersonalScores) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
     let mut text = format!("people {}\n", people.join(", "));
     text += &format!("calibrated on {}\nscored on {}\n", scores.calibrated_on, scores.scored_on);
+    text += &format!("with what {} others have in common: {}\n", scores.prior_people, scores.prior_from);
     text += &format!("\n{}\n", scores.evaluation);
     if !scores.skipped.is_empty() {
         text += &format!("{}\n", left_out(&scores.skipped, "recordings, trials or people"));

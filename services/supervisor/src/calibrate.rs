@@ -1,0 +1,276 @@
+//! `tendon calibrate NAME`: fits a person to recordings with cues and keeps them.
+//!
+//! ```text
+//! recordings ─▶ windows of one person ─▶ Person::fit, with the prior of others ─▶ findings? ─▶ people/NAME/person.toml
+//! ```
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{anyhow, ensure};
+use clap::Args;
+use serde::Serialize;
+use tendon_dataset::{Recording, list};
+use tendon_evaluation::{PersonWindows, prior_without};
+use tendon_features::{Cohort, LaggedLogCovariance, MethodSettings, Prior};
+use tendon_gesture::Gesture;
+use tendon_output::{check_distinct, collect};
+use tendon_people::{ChannelQuality, Expected, GestureFit, HeldOut, Made, People, Person, PersonName};
+use tendon_provenance::Provenance;
+
+use crate::Failure;
+use crate::options::{Base, WINDOW_KEYS, channel};
+use crate::output::{checked, left_out, print};
+use crate::personal::{dataset_settings, personal_windows, shipped_prior};
+use crate::provenance::PROGRAM;
+
+/// Command line of `tendon calibrate`.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Name of the person, by which `tendon run --person` finds them: 1 to 40 of the characters a-z 0-9 - _. A pseudonym is
+    /// enough.
+    name: PersonName,
+    /// Recordings with cues, in any layout that `tendon evaluate` reads.
+    #[arg(long, required = true, num_args = 1.., value_name = "PATH")]
+    from: Vec<PathBuf>,
+    /// Number of the person in the recordings, where they are of several people.
+    #[arg(long, value_name = "P")]
+    person_number: Option<u16>,
+    /// Only this session of the recordings, such as `train` of 3DC [default: all].
+    #[arg(long, value_name = "SESSION")]
+    session: Option<String>,
+    /// Only the first N repetitions of each gesture [default: all].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    repetitions: Option<u32>,
+    /// Only these gestures; rest is always one of them [default: all].
+    #[arg(long, value_name = "GESTURE,…", value_delimiter = ',')]
+    gestures: Vec<Gesture>,
+    /// Channels of the recordings; a session with the person has them in this order.
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
+    channels: Vec<usize>,
+    /// Sampling rate of recordings that do not state it, Hz.
+    #[arg(long, value_name = "HZ")]
+    recording_rate_hz: Option<f64>,
+    #[command(flatten)]
+    base: Base,
+    /// Put the person in the place of the one who has this name.
+    #[arg(long)]
+    replace: bool,
+    /// Also write what was learnt to this file, as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// What `--json` writes.
+#[derive(Debug, Serialize)]
+struct Learnt<'a> {
+    person: &'a PersonName,
+    file: String,
+    fit_s: f64,
+    prior_people: usize,
+    expected: &'a Expected,
+    gestures: &'a [GestureFit],
+    channels: &'a [ChannelQuality],
+    findings: Vec<String>,
+    skipped: &'a [String],
+    provenance: Provenance,
+}
+
+/// Fits a person and keeps them.
+pub fn calibrate(options: &Options) -> Result<(), Failure> {
+    let json = checked(options.json.as_deref())?;
+    let inputs = options.from.iter().map(PathBuf::as_path).chain(options.base.file());
+    check_distinct(&json, [], inputs).map_err(Failure::input)?;
+    let begun = Provenance::begin(PROGRAM);
+    let people = People::open().map_err(Failure::input)?;
+    if !options.replace {
+        people.check_new(&options.name).map_err(Failure::input)?;
+    }
+    let begun = begun.with_recording(&options.from).map_err(Failure::input)?;
+    let shipped = shipped_prior().map_err(Failure::input)?;
+    let fitted = fit(options, shipped.as_ref(), &begun).map_err(Failure::input)?;
+    let serious: Vec<String> = fitted
+        .person
+        .findings
+        .iter()
+        .filter(|finding| finding.is_serious())
+        .map(ToString::to_string)
+        .collect();
+    if !serious.is_empty() {
+        return Err(Failure::input(anyhow!(
+            "{} is not kept: {}. Or leave out what is wrong with --gestures or --channels",
+            options.name,
+            serious.join("; ")
+        )));
+    }
+    let file = people.replace(&fitted.person).map_err(Failure::running)?;
+    let Fitted { person, fit_s, skipped } = &fitted;
+    let learnt = Learnt {
+        person: &person.name,
+        file: file.display().to_string(),
+        fit_s: *fit_s,
+        prior_people: person.made.prior_people.len(),
+        expected: &person.expected,
+        gestures: &person.gestures,
+        channels: &person.channels,
+        findings: person.findings.iter().map(ToString::to_string).collect(),
+        skipped,
+        provenance: begun,
+    };
+    let written = collect(json.iter().map(|json| json.write_json(&learnt))).map_err(Failure::running);
+    written.and(print(text(&learnt, person)).map_err(Failure::running))
+}
+
+struct Fitted {
+    person: Person,
+    fit_s: f64,
+    skipped: Vec<String>,
+}
+
+/// Fits the person to the recordings, with the prior of others where it fits.
+fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyhow::Result<Fitted> {
+    let config = options.base.configuration_of("tendon calibrate", &WINDOW_KEYS)?;
+    let config = personal_windows(config, &options.base);
+    let settings = dataset_settings(&config, &options.channels, options.recording_rate_hz);
+    let found = list(&settings, &options.from)?;
+    let recordings = of_one_person(options, found.recordings)?;
+    let number = recordings[0].person;
+    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let windows = PersonWindows::read(&settings, &recordings, &mut skipped);
+    let chosen = windows.chosen(options.session.as_deref(), options.repetitions);
+    let is_wanted = |gesture: Gesture| {
+        options.gestures.is_empty() || gesture == Gesture::REST || options.gestures.contains(&gesture)
+    };
+    let chosen: Vec<usize> =
+        chosen.into_iter().filter(|&window| is_wanted(windows.origins()[window].gesture)).collect();
+    for gesture in &options.gestures {
+        let is_there = chosen.iter().any(|&window| windows.origins()[window].gesture == *gesture);
+        ensure!(is_there, "--gestures {gesture}: the recordings hold no window of it");
+    }
+    let method = MethodSettings::default();
+    let features = LaggedLogCovariance::new(&method, settings.channels.len(), settings.sample_rate_hz, 1.0)?;
+    let prior: Option<Prior> = match shipped.filter(|cohort| cohort.layout().fits(&features).is_ok()) {
+        Some(cohort) => prior_without(cohort, found.layout, number)?,
+        None => None,
+    };
+    let made = Made {
+        at: begun.started_at.clone(),
+        version: begun.version.clone(),
+        commit: begun.commit.clone(),
+        from: format!("recordings: {}", listed(&options.from)),
+        recordings_sha256: begun
+            .recording
+            .as_ref()
+            .map_or_else(String::new, |recording| recording.sha256.clone()),
+        prior_people: Vec::new(),
+    };
+    let start = Instant::now();
+    let person = windows.fit(&chosen, options.name.clone(), made, &method, prior.as_ref())?;
+    Ok(Fitted { person, fit_s: start.elapsed().as_secs_f64(), skipped })
+}
+
+/// The recordings of the person asked for.
+fn of_one_person(options: &Options, recordings: Vec<Recording>) -> anyhow::Result<Vec<Recording>> {
+    let mut numbers: Vec<u16> = recordings.iter().map(|recording| recording.person).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    let number = match (options.person_number, &numbers[..]) {
+        (Some(number), _) => number,
+        (None, [only]) => *only,
+        (None, _) => {
+            let numbers: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+            return Err(anyhow!(
+                "the recordings are of several people ({}): say whom with --person-number",
+                numbers.join(", ")
+            ));
+        }
+    };
+    let mut sessions: Vec<&str> = Vec::new();
+    for recording in recordings.iter().filter(|recording| recording.person == number) {
+        if !sessions.contains(&recording.session.as_str()) {
+            sessions.push(&recording.session);
+        }
+    }
+    ensure!(!sessions.is_empty(), "--person-number {number}: there are no recordings of this person");
+    if let Some(session) = &options.session {
+        ensure!(
+            sessions.contains(&session.as_str()),
+            "--session {session}: person {number} has only {}",
+            sessions.join(", ")
+        );
+    }
+    let is_wanted = |recording: &Recording| {
+        recording.person == number
+            && options.session.as_ref().is_none_or(|session| *session == recording.session)
+    };
+    Ok(recordings.into_iter().filter(is_wanted).collect())
+}
+
+fn listed(paths: &[PathBuf]) -> String {
+    paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+/// What was learnt, for people.
+fn text(learnt: &Learnt, person: &Person) -> String {
+    let signal = &person.signal;
+    let mut text = format!(
+        "{}: {} gestures on channels {}, windows of {:.0} ms\n",
+        person.name,
+        person.gestures.len(),
+        signal.channels.join(", "),
+        1e3 * signal.window_samples as f64 / signal.sample_rate_hz
+    );
+    let prior = match learnt.prior_people {
+        0 => "without other people".to_owned(),
+        people => format!("with what {people} other people have in common"),
+    };
+    text += &format!("fitted in {:.2} s, {prior}\n", learnt.fit_s);
+    let how = match person.expected.held_out {
+        HeldOut::Repetitions => "each repetition recognised by a fit to the others",
+        HeldOut::PartsOfOneRepetition => {
+            "parts of the only repetition recognised by a fit to the others: expect less, and repeat each gesture to know"
+        }
+    };
+    text += &format!("expected accuracy {:.1} % ({how})\n\n", 100.0 * person.expected.accuracy);
+    text += &confusion(person);
+    text += &channels(&person.channels);
+    if !learnt.skipped.is_empty() {
+        text += &format!("{}\n\n", left_out(learnt.skipped, "recordings or trials"));
+    }
+    for finding in &learnt.findings {
+        text += &format!("- {finding}\n");
+    }
+    text + &format!("kept in {}\nnow: tendon run --person {}", learnt.file, person.name)
+}
+
+/// Percent of the windows of each gesture, by what they were recognised as.
+fn confusion(person: &Person) -> String {
+    let mut text = format!("{:<24}", "made \\ recognised, %");
+    for gesture in &person.gestures {
+        let _ = write!(text, " {:>10}", gesture.name);
+    }
+    text.push('\n');
+    for (gesture, row) in person.gestures.iter().zip(&person.expected.confusion) {
+        let _ = write!(text, "{:<24}", gesture.name);
+        let windows = row.iter().sum::<usize>().max(1) as f64;
+        for count in row {
+            let _ = write!(text, " {:>10.1}", 100.0 * *count as f64 / windows);
+        }
+        text.push('\n');
+    }
+    text.push('\n');
+    text
+}
+
+fn channels(channels: &[ChannelQuality]) -> String {
+    let mut text =
+        format!("{:<24} {:>12} {:>18} {:>10}\n", "channel", "SNR, dB", "mains at rest, %", "clipped, %");
+    for quality in channels {
+        let ChannelQuality { name, signal_to_noise_db, mains_share, clipped_share, .. } = quality;
+        let (mains, clipped) = (100.0 * mains_share, 100.0 * clipped_share);
+        let _ = writeln!(text, "{name:<24} {signal_to_noise_db:>12.1} {mains:>18.1} {clipped:>10.2}");
+    }
+    text.push('\n');
+    text
+}

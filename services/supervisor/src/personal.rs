@@ -1,0 +1,173 @@
+//! What the commands share that calibrate people or run with one: how windows are cut, the prior that comes with Tendon,
+//! and the settings of a session with a person.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, ensure};
+use tendon_config::{Config, Source};
+use tendon_dataset::DatasetSettings;
+use tendon_features::Cohort;
+use tendon_gesture::{GestureSet, Strategy};
+use tendon_people::{People, Person, PersonName, SignalOffer};
+use tendon_recordings::Channel;
+use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
+
+use crate::options::Base;
+
+/// A movement counts from here on, ms after its cue: by then everybody has followed it.
+const MOVEMENT_BEGINS_MS: f64 = 1200.0;
+/// Windows of a person where nobody asks for others, ms: long enough to be sure, short enough to be quick.
+const WINDOW_MS: f64 = 150.0;
+/// From one such window to the next, ms.
+const INCREMENT_MS: f64 = 25.0;
+/// File of the prior in `models/`.
+const PRIOR_FILE: &str = "prior-3dc.tendon-prior";
+/// Largest prior, in bytes.
+const LARGEST_PRIOR: u64 = 256 << 20;
+
+/// How recordings are cut into windows to calibrate on.
+pub fn dataset_settings(
+    config: &Config,
+    channels: &[usize],
+    recording_rate_hz: Option<f64>,
+) -> DatasetSettings {
+    let default = DatasetSettings::default();
+    DatasetSettings {
+        channels: channels.iter().copied().map(Channel::Index).collect(),
+        recording_rate_hz,
+        sample_rate_hz: config.acquisition.sample_rate_hz,
+        filter: Some(config.dsp.filter.clone()),
+        windows: config.dsp.windows.clone(),
+        onset: OnsetSettings { method: OnsetMethod::Fixed, ..default.onset },
+        fallback_ms: MOVEMENT_BEGINS_MS,
+        rest_start_ms: MOVEMENT_BEGINS_MS,
+        ..default
+    }
+}
+
+/// The configuration with a person's windows, unless others are asked for.
+pub fn personal_windows(config: Config, base: &Base) -> Config {
+    if base.sets("dsp.windows") || config.dsp.windows != WindowSettings::default() {
+        return config;
+    }
+    let rate_hz = config.acquisition.sample_rate_hz;
+    let mut config = config;
+    config.dsp.windows = WindowSettings {
+        window_samples: samples_of_ms(WINDOW_MS, rate_hz),
+        increment_samples: samples_of_ms(INCREMENT_MS, rate_hz),
+    };
+    config
+}
+
+fn samples_of_ms(ms: f64, rate_hz: f64) -> usize {
+    ((ms * 1e-3 * rate_hz).round() as usize).max(1)
+}
+
+/// Sets a session up for a person, who is named or whose file is: what the user left at its default becomes the person's.
+/// Returns the file and the person.
+///
+/// # Errors
+///
+/// When there is no such person, or their file cannot be used.
+pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Result<(PathBuf, Person)> {
+    let (file, person) = match person.parse::<PersonName>() {
+        Ok(name) => {
+            let people = People::open()?;
+            (people.file_of(&name), people.find(&name)?)
+        }
+        Err(_) => (PathBuf::from(person), Person::read(person.as_ref())?),
+    };
+    let default = Config::default();
+    let signal = &person.signal;
+    let acquisition = &mut config.acquisition;
+    if acquisition.channels == default.acquisition.channels && !base.sets("acquisition.channels") {
+        acquisition.channels = signal.channels.len();
+    }
+    if acquisition.sample_rate_hz == default.acquisition.sample_rate_hz
+        && !base.sets("acquisition.sample_rate_hz")
+    {
+        acquisition.sample_rate_hz = signal.sample_rate_hz;
+    }
+    if acquisition.source == Source::Replay && acquisition.replay.channels.is_none() {
+        let channel =
+            |name: &String| name.parse().map_or_else(|_| Channel::Name(name.clone()), Channel::Index);
+        acquisition.replay.channels = Some(signal.channels.iter().map(channel).collect());
+    }
+    if let Some(filter) = &signal.filter
+        && config.dsp.filter == default.dsp.filter
+        && !base.sets("dsp.filter")
+    {
+        config.dsp.filter = filter.clone();
+    }
+    if config.dsp.windows == default.dsp.windows && !base.sets("dsp.windows") {
+        config.dsp.windows = WindowSettings {
+            window_samples: signal.window_samples,
+            increment_samples: samples_of_ms(INCREMENT_MS, signal.sample_rate_hz),
+        };
+    }
+    if config.decision.gestures == default.decision.gestures && !base.sets("decision.gestures") {
+        config.decision.gestures = person.gesture_set();
+    }
+    config.decision.strategy = Strategy::Personal;
+    config.inference.person = Some(file.clone());
+    Ok((file, person))
+}
+
+/// Refuses a session that differs from what the person was calibrated with.
+///
+/// # Errors
+///
+/// Everything that differs, by name.
+pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Result<()> {
+    let acquisition = &config.acquisition;
+    let name = |channel: &Channel| match channel {
+        Channel::Index(index) => index.to_string(),
+        Channel::Name(name) => name.clone(),
+    };
+    let is_replay = acquisition.source == Source::Replay;
+    let named = acquisition.replay.channels.as_ref().filter(|_| is_replay);
+    let names: Option<Vec<String>> = named.map(|channels| channels.iter().map(name).collect());
+    let mut differences: Vec<String> = person
+        .differences(&SignalOffer {
+            source: "the session",
+            channels: acquisition.channels,
+            channel_names: names.as_deref(),
+            sample_rate_hz: acquisition.sample_rate_hz,
+            unit: "",
+            window_samples: config.dsp.windows.window_samples,
+            filter: Some(&config.dsp.filter),
+        })
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    let (own, session) = (person.gesture_set(), &config.decision.gestures);
+    if own != *session {
+        let names = |set: &GestureSet| set.iter().map(String::from).collect::<Vec<_>>().join(", ");
+        differences.push(format!(
+            "gestures: calibrated with {}, the session has {}",
+            names(&own),
+            names(session)
+        ));
+    }
+    ensure!(
+        differences.is_empty(),
+        "{}: {} does not fit: {}; change the configuration, or calibrate again with it",
+        file.display(),
+        person.name,
+        differences.join("; ")
+    );
+    Ok(())
+}
+
+/// The people of the prior that comes with Tendon; `None` where it is not installed.
+///
+/// # Errors
+///
+/// When it is damaged.
+pub fn shipped_prior() -> anyhow::Result<Option<Cohort>> {
+    let Ok(path) = tendon_classifier::model_beside_program(PRIOR_FILE) else { return Ok(None) };
+    let bytes = tendon_input::read(&path, LARGEST_PRIOR)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    let cohort = Cohort::from_bytes(&bytes).with_context(|| path.display().to_string())?;
+    Ok(Some(cohort))
+}

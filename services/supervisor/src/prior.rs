@@ -1,0 +1,71 @@
+//! `tendon prior`: what people have in common, from their recordings, for the recognisers of others.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use clap::Args;
+use tendon_evaluation::gather_cohort;
+use tendon_features::MethodSettings;
+use tendon_output::check_distinct;
+
+use crate::Failure;
+use crate::options::{Base, WINDOW_KEYS, channel};
+use crate::output::{checked, print};
+use crate::personal::{dataset_settings, personal_windows};
+use crate::progress::Works;
+
+/// Command line of `tendon prior`.
+#[derive(Debug, Args)]
+pub struct Options {
+    /// Recordings with cues, of several people.
+    #[arg(required = true, value_name = "PATH")]
+    recordings: Vec<PathBuf>,
+    /// Channels of the recordings. The prior serves people with as many channels at the same places.
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
+    channels: Vec<usize>,
+    /// Sampling rate of recordings that do not state it, Hz.
+    #[arg(long, value_name = "HZ")]
+    recording_rate_hz: Option<f64>,
+    #[command(flatten)]
+    base: Base,
+    /// The file to write.
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// Gathers a prior and writes it.
+pub fn gather(options: &Options) -> Result<(), Failure> {
+    let out = checked(Some(&options.out))?;
+    let inputs = options.recordings.iter().map(PathBuf::as_path).chain(options.base.file());
+    check_distinct(&out, [], inputs).map_err(Failure::input)?;
+    let config = options.base.configuration_of("tendon prior", &WINDOW_KEYS).map_err(Failure::input)?;
+    let config = personal_windows(config, &options.base);
+    let settings = dataset_settings(&config, &options.channels, options.recording_rate_hz);
+    let mut works = Works::default();
+    let mut progress = |done, total| works.show(done, total, "people", String::new);
+    let mut skipped = Vec::new();
+    let gathered = gather_cohort(
+        &options.recordings,
+        &settings,
+        &MethodSettings::default(),
+        &mut skipped,
+        &mut progress,
+    );
+    works.clear();
+    let cohort = gathered.map_err(Failure::input)?;
+    if cohort.prior(|_| true).map_err(Failure::input)?.is_none() {
+        return Err(Failure::input(anyhow!(
+            "these are too few people or windows for a prior: give more recordings"
+        )));
+    }
+    let bytes = cohort.to_bytes().map_err(Failure::running)?;
+    if let Some(file) = &out {
+        file.write_bytes(&bytes).map_err(Failure::running)?;
+    }
+    let mut text =
+        format!("{} people, {} kB in {}", cohort.members().len(), bytes.len() / 1000, options.out.display());
+    for reason in skipped.iter().filter(|reason| reason.starts_with("person ")) {
+        text += &format!("\n{reason}");
+    }
+    print(text).map_err(Failure::running)
+}

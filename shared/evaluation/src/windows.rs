@@ -1,0 +1,263 @@
+//! The windows of one person's recordings, with what was made in them.
+//!
+//! ```text
+//! recordings ─▶ cut ─▶ PersonWindows ─┬─ some repetitions ─▶ Person::fit
+//!                                     └─ all of them ──────▶ Cohort
+//! ```
+
+use std::collections::BTreeSet;
+
+use tendon_dataset::{DatasetSettings, Recording, cut};
+use tendon_features::{
+    Class, Cohort, FeatureError, FitError, LaggedLogCovariance, MemberId, MethodSettings, Prior, Training,
+    rest_floor,
+};
+use tendon_gesture::Gesture;
+use tendon_people::{Calibration, CalibrationError, Made, Person, PersonName, SignalFit};
+use tendon_recordings::Channel;
+
+/// Where a window comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WindowOrigin {
+    /// What the person was asked to make.
+    pub gesture: Gesture,
+    /// Place of the session among the person's.
+    pub session: usize,
+    /// Repetition counted through all sessions.
+    pub repetition_of_all: u8,
+}
+
+/// All windows of a person, in the order in which they were recorded.
+#[derive(Debug)]
+pub struct PersonWindows {
+    signal: SignalFit,
+    sessions: Vec<String>,
+    origins: Vec<WindowOrigin>,
+    /// Windows x channels x samples.
+    samples: Vec<f32>,
+}
+
+impl PersonWindows {
+    /// Cuts all recordings of one person. What could not be used, and why, is added to `skipped`.
+    pub fn read(
+        settings: &DatasetSettings,
+        recordings: &[Recording],
+        skipped: &mut Vec<String>,
+    ) -> PersonWindows {
+        let mut windows = PersonWindows {
+            signal: signal(settings),
+            sessions: Vec::new(),
+            origins: Vec::new(),
+            samples: Vec::new(),
+        };
+        for recording in recordings {
+            windows.add(settings, recording, skipped);
+        }
+        windows
+    }
+
+    fn add(&mut self, settings: &DatasetSettings, recording: &Recording, skipped: &mut Vec<String>) {
+        let session = self.sessions.iter().position(|session| *session == recording.session);
+        let session = session.unwrap_or_else(|| {
+            self.sessions.push(recording.session.clone());
+            self.sessions.len() - 1
+        });
+        let (origins_before, samples_before) = (self.origins.len(), self.samples.len());
+        let mut trials = Vec::new();
+        let cut = cut(settings, recording, &mut |window| {
+            self.samples.extend_from_slice(window.samples);
+            trials.push((window.gesture, window.repetition));
+        });
+        match cut {
+            Ok(cut) => {
+                skipped.extend(cut.skipped.iter().map(ToString::to_string));
+                let origin =
+                    |(gesture, repetition_of_all)| WindowOrigin { gesture, session, repetition_of_all };
+                self.origins.extend(trials.into_iter().map(origin));
+            }
+            Err(error) => {
+                self.origins.truncate(origins_before);
+                self.samples.truncate(samples_before);
+                skipped.push(error.to_string());
+            }
+        }
+    }
+
+    /// The signal that the windows are of.
+    pub fn signal(&self) -> &SignalFit {
+        &self.signal
+    }
+
+    /// The names of the sessions, in order.
+    pub fn sessions(&self) -> &[String] {
+        &self.sessions
+    }
+
+    /// Where each window comes from.
+    pub fn origins(&self) -> &[WindowOrigin] {
+        &self.origins
+    }
+
+    /// The samples of a window, channel-major.
+    pub fn window(&self, window: usize) -> &[f32] {
+        let length = self.signal.window_length();
+        &self.samples[window * length..][..length]
+    }
+
+    /// The windows of a session, or of all, of its first repetitions, or of all.
+    pub fn chosen(&self, session: Option<&str>, repetitions: Option<u32>) -> Vec<usize> {
+        let is_wanted =
+            |origin: &WindowOrigin| session.is_none_or(|session| self.sessions[origin.session] == session);
+        let wanted = self.origins.iter().filter(|origin| is_wanted(origin));
+        let numbers: BTreeSet<u8> = wanted.map(|origin| origin.repetition_of_all).collect();
+        let most = repetitions.map_or(usize::MAX, |repetitions| repetitions as usize);
+        let numbers: BTreeSet<u8> = numbers.into_iter().take(most).collect();
+        let calibrates = |window: &usize| {
+            let origin = &self.origins[*window];
+            is_wanted(origin) && numbers.contains(&origin.repetition_of_all)
+        };
+        (0..self.origins.len()).filter(calibrates).collect()
+    }
+
+    /// Fits a person to some of the windows.
+    ///
+    /// # Errors
+    ///
+    /// [`CalibrationError`]: what is wrong with them.
+    pub fn fit(
+        &self,
+        windows: &[usize],
+        name: PersonName,
+        made: Made,
+        method: &MethodSettings,
+        prior: Option<&Prior>,
+    ) -> Result<Person, CalibrationError> {
+        let chosen = || windows.iter().map(|&window| self.origins[window]);
+        let gestures = gestures(chosen());
+        let samples: Vec<f32> = windows.iter().flat_map(|&window| self.window(window)).copied().collect();
+        let labels: Vec<usize> = chosen().map(|origin| label(&gestures, origin.gesture)).collect();
+        let repetitions: Vec<u32> = chosen().map(|origin| origin.repetition_of_all.into()).collect();
+        let calibration = Calibration {
+            signal: &self.signal,
+            gestures: &gestures,
+            samples: &samples,
+            labels: &labels,
+            repetitions: &repetitions,
+            clipped_shares: &[],
+        };
+        Person::fit(name, made, &calibration, method, prior)
+    }
+
+    /// Adds the person to those who make priors for others. The floor is that of all windows of rest.
+    ///
+    /// # Errors
+    ///
+    /// [`MemberError`]: what is wrong with the windows.
+    pub fn join(
+        &self,
+        id: MemberId,
+        method: &MethodSettings,
+        cohort: &mut Cohort,
+    ) -> Result<(), MemberError> {
+        let SignalFit { channels, sample_rate_hz, .. } = &self.signal;
+        let rest = (0..self.origins.len()).filter(|&window| self.origins[window].gesture == Gesture::REST);
+        let floor_variance = rest_floor(method, channels.len(), rest.map(|window| self.window(window)))?;
+        let mut covariance =
+            LaggedLogCovariance::new(method, channels.len(), *sample_rate_hz, floor_variance)?;
+        let feature_count = covariance.feature_count();
+        let mut features = vec![0.0; self.origins.len() * feature_count];
+        for (window, features) in features.chunks_exact_mut(feature_count).enumerate() {
+            covariance.compute(self.window(window), features)?;
+        }
+        let gestures = gestures(self.origins.iter().copied());
+        let classes: Vec<Class> =
+            gestures.iter().map(|gesture| Class { name: gesture.name().to_owned(), weight: 1.0 }).collect();
+        let increment_s = self.signal.increment_s();
+        let of_session = |session: usize| {
+            let windows =
+                (0..self.origins.len()).filter(move |&window| self.origins[window].session == session);
+            Labelled::of(self, windows, &gestures, &features, feature_count)
+        };
+        let sessions: Vec<Labelled> = (0..self.sessions.len()).map(of_session).collect();
+        let sessions: Vec<Training> = sessions
+            .iter()
+            .filter(|labelled| !labelled.labels.is_empty())
+            .map(|labelled| labelled.training(&classes, feature_count, increment_s))
+            .collect();
+        let all = Labelled::of(self, 0..self.origins.len(), &gestures, &features, feature_count);
+        Ok(cohort.add(id, &sessions, &all.training(&classes, feature_count, increment_s))?)
+    }
+}
+
+/// Why somebody's windows cannot make a prior.
+#[derive(Debug, thiserror::Error)]
+pub enum MemberError {
+    /// The windows make no features.
+    #[error(transparent)]
+    Features(#[from] FeatureError),
+    /// The features cannot be used.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+}
+
+/// Features of windows with their gestures and repetitions.
+struct Labelled {
+    features: Vec<f64>,
+    labels: Vec<usize>,
+    blocks: Vec<usize>,
+}
+
+impl Labelled {
+    fn of(
+        person: &PersonWindows,
+        windows: impl Iterator<Item = usize>,
+        gestures: &[Gesture],
+        features: &[f64],
+        feature_count: usize,
+    ) -> Labelled {
+        let mut labelled = Labelled { features: Vec::new(), labels: Vec::new(), blocks: Vec::new() };
+        for window in windows {
+            let origin = person.origins[window];
+            labelled.features.extend_from_slice(&features[window * feature_count..][..feature_count]);
+            labelled.labels.push(label(gestures, origin.gesture));
+            labelled.blocks.push(origin.repetition_of_all.into());
+        }
+        labelled
+    }
+
+    fn training<'a>(&'a self, classes: &'a [Class], feature_count: usize, increment_s: f64) -> Training<'a> {
+        Training {
+            classes,
+            feature_count,
+            features: &self.features,
+            labels: &self.labels,
+            increment_s,
+            blocks: &self.blocks,
+        }
+    }
+}
+
+/// The gestures of windows, rest first if it is there.
+fn gestures(origins: impl Iterator<Item = WindowOrigin>) -> Vec<Gesture> {
+    origins.map(|origin| origin.gesture).collect::<BTreeSet<_>>().into_iter().collect()
+}
+
+fn label(gestures: &[Gesture], gesture: Gesture) -> usize {
+    gestures.iter().position(|own| *own == gesture).expect("every gesture of the windows is listed")
+}
+
+/// The signal of windows that are cut with these settings.
+fn signal(settings: &DatasetSettings) -> SignalFit {
+    let name = |channel: &Channel| match channel {
+        Channel::Index(index) => index.to_string(),
+        Channel::Name(name) => name.clone(),
+    };
+    SignalFit {
+        channels: settings.channels.iter().map(name).collect(),
+        sample_rate_hz: settings.sample_rate_hz,
+        unit: String::new(),
+        window_samples: settings.windows.window_samples,
+        increment_samples: settings.windows.increment_samples,
+        filter: settings.filter.clone(),
+    }
+}
