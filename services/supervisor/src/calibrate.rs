@@ -22,7 +22,7 @@ use tendon_provenance::Provenance;
 use crate::Failure;
 use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{checked, left_out, print};
-use crate::personal::{dataset_settings, personal_windows, shipped_prior};
+use crate::personal::{calibration_settings, personal_windows, shipped_prior};
 use crate::provenance::PROGRAM;
 
 /// Command line of `tendon calibrate`.
@@ -132,7 +132,7 @@ struct Fitted {
 fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyhow::Result<Fitted> {
     let config = options.base.configuration_of("tendon calibrate", &WINDOW_KEYS)?;
     let config = personal_windows(config, &options.base);
-    let settings = dataset_settings(&config, &options.channels, options.recording_rate_hz);
+    let settings = calibration_settings(&config, &options.channels, options.recording_rate_hz);
     let found = list(&settings, &options.from)?;
     let recordings = of_one_person(options, found.recordings)?;
     let number = recordings[0].person;

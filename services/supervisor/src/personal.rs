@@ -45,18 +45,33 @@ pub fn dataset_settings(
     }
 }
 
+/// How the recordings that calibrate a person are cut: as [`dataset_settings`], but from the onset of each movement, so that
+/// its beginning is learnt, too.
+pub fn calibration_settings(
+    config: &Config,
+    channels: &[usize],
+    recording_rate_hz: Option<f64>,
+) -> DatasetSettings {
+    let onset = DatasetSettings::default().onset;
+    DatasetSettings { onset, ..dataset_settings(config, channels, recording_rate_hz) }
+}
+
 /// The configuration with a person's windows, unless others are asked for.
 pub fn personal_windows(config: Config, base: &Base) -> Config {
     if base.sets("dsp.windows") || config.dsp.windows != WindowSettings::default() {
         return config;
     }
-    let rate_hz = config.acquisition.sample_rate_hz;
     let mut config = config;
-    config.dsp.windows = WindowSettings {
-        window_samples: samples_of_ms(WINDOW_MS, rate_hz),
-        increment_samples: samples_of_ms(INCREMENT_MS, rate_hz),
-    };
+    config.dsp.windows = window_settings(config.acquisition.sample_rate_hz);
     config
+}
+
+/// A person's windows where nobody asks for others.
+pub fn window_settings(sample_rate_hz: f64) -> WindowSettings {
+    WindowSettings {
+        window_samples: samples_of_ms(WINDOW_MS, sample_rate_hz),
+        increment_samples: samples_of_ms(INCREMENT_MS, sample_rate_hz),
+    }
 }
 
 fn samples_of_ms(ms: f64, rate_hz: f64) -> usize {

@@ -1,5 +1,7 @@
-//! `tendon strategies`: the paper's three real-time strategies on continuous recordings with cues, by the code that
-//! runs live, but without its processes.
+//! `tendon strategies`: the paper's three real-time strategies, and recognisers calibrated to each person, on continuous
+//! recordings with cues, by the code that runs live, but without its processes.
+
+mod personal;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -9,9 +11,10 @@ use clap::Args;
 use serde::Serialize;
 use tendon_classifier::TrainedOn;
 use tendon_config::Config;
-use tendon_dataset::{Recording, list};
+use tendon_dataset::{DatasetSettings, Recording, list};
 use tendon_evaluation::{
-    StrategyModels, StrategyScores, chosen_people, dataset_settings, score_strategy, with_trials,
+    PersonRecordings, StrategyModels, StrategyScores, chosen_people, dataset_settings, score_strategy,
+    with_trials,
 };
 use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_output::{check_distinct, collect};
@@ -24,21 +27,31 @@ use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
 
+use personal::People;
+
 /// Command line of `tendon strategies`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Continuous recordings with cues: folders of the 3DC layout, or folders above such.
+    /// Continuous recordings with cues: folders of the 3DC layout or with a labels.csv, or folders above such.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,
-    /// Score only this strategy. By default, all three.
+    /// Score only this strategy. By default, all: the paper's three, and `personal`, a recogniser calibrated to each
+    /// person.
     #[arg(long, value_enum)]
     strategy: Option<Strategy>,
+    /// For the personal strategy, calibrate each person on the first N repetitions of the first session. All strategies
+    /// are then scored on the last session, or on what is left of an only one [default: 4, or as many as there are].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    calibrate_repetitions: Option<u32>,
     /// Score only these people, by number. By default, everybody whom none of the models was trained on.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<u16>,
     /// Channels of the recordings, in the order the models expect.
     #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
     channels: Vec<usize>,
+    /// Sampling rate of recordings that do not state it, Hz.
+    #[arg(long, value_name = "HZ")]
+    recording_rate_hz: Option<f64>,
     /// Configuration file with the settings of dsp and decision. By default, the default settings.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -63,15 +76,10 @@ pub struct Options {
 }
 
 /// Keys of the configuration that scores depend on.
-const KEYS: [&str; 7] = [
-    "acquisition.channels",
-    "acquisition.sample_rate_hz",
-    "dsp",
-    "decision.vote_windows",
-    "decision.grip_windows",
-    "decision.grip_interval_s",
-    "decision.speed_mm_per_s",
-];
+const KEYS: [&str; 4] = ["acquisition.channels", "acquisition.sample_rate_hz", "dsp", "decision"];
+
+/// Keys among them that the command sets itself.
+const OWN_KEYS: [&str; 2] = ["decision.strategy", "decision.gestures"];
 
 impl Options {
     /// The models named, each with its option and the strategies that use it.
@@ -89,10 +97,35 @@ impl Options {
         self.recordings.iter().chain(models).chain(&self.config).map(PathBuf::as_path)
     }
 
+    /// Whether a key was set that begins with `beginning`.
+    fn sets(&self, beginning: &str) -> bool {
+        self.assignments.iter().any(|assignment| assignment.trim_start().starts_with(beginning))
+    }
+
+    /// The strategies with models, and whether the personal one is scored.
+    fn strategies(&self) -> (Vec<Strategy>, bool) {
+        match self.strategy {
+            None => (Strategy::ALL.to_vec(), true),
+            Some(Strategy::Personal) => (Vec::new(), true),
+            Some(strategy) => (vec![strategy], false),
+        }
+    }
+
     /// Refuses options that have no effect on what is scored.
     fn check_effects(&self) -> anyhow::Result<()> {
         check_keys(&self.assignments, "tendon strategies", &KEYS)?;
+        for key in OWN_KEYS {
+            ensure!(
+                !self.sets(key),
+                "tendon strategies sets {key} itself: leave it out; --strategy chooses what is scored"
+            );
+        }
         let Some(strategy) = self.strategy else { return Ok(()) };
+        ensure!(
+            self.calibrate_repetitions.is_none() || strategy == Strategy::Personal,
+            "--calibrate-repetitions has no effect with --strategy {}: leave one of the two out",
+            strategy.name()
+        );
         for (option, model, used_by) in self.models() {
             ensure!(
                 model.is_none() || used_by.contains(&strategy),
@@ -109,9 +142,14 @@ impl Options {
 struct AllScores {
     recordings: Vec<String>,
     people: BTreeSet<u16>,
-    /// Recordings that could not be used, and why.
+    /// What calibrated the recognisers of people, in words; `null` if none was.
+    calibrated_on: Option<String>,
+    /// What was scored, in words.
+    scored_on: &'static str,
+    /// Recordings and people that could not be used, and why.
     skipped: Vec<String>,
-    strategies: BTreeMap<&'static str, StrategyScores>,
+    /// By name; `null` for what could not be scored.
+    strategies: BTreeMap<&'static str, Option<StrategyScores>>,
     provenance: Provenance,
 }
 
@@ -120,56 +158,85 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
     check_distinct(&json, [], options.inputs()).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
-    let mut pipelines = pipelines(options).map_err(Failure::input)?;
-    let settings = dataset_settings(pipelines[0].1.settings(), &options.channels);
+    let config = configuration(options).map_err(Failure::input)?;
+    let mut pipelines = pipelines(options, &config).map_err(Failure::input)?;
+    let settings = DatasetSettings {
+        recording_rate_hz: options.recording_rate_hz,
+        ..dataset_settings(&pipeline_settings(&config, Strategy::Direct), &options.channels)
+    };
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
+    let (layout, data_set) = (found.layout, found.layout.data_set());
     let known: BTreeSet<u16> = found.recordings.iter().map(|recording| recording.person).collect();
-    let data_set = found.layout.data_set();
     let models = || pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().trained_on());
     let trained = models().flat_map(|model| model.people_of(data_set)).copied().collect();
-    let people = chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
+    let chosen = chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
+    let recordings: Vec<Recording> =
+        found.recordings.into_iter().filter(|recording| chosen.contains(&recording.person)).collect();
+    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let (usable, unusable) = with_trials(&settings, recordings);
+    skipped.extend(unusable);
+    if usable.is_empty() {
+        let reason = skipped.first().map_or("there is none", String::as_str);
+        return Err(Failure::input(anyhow!("no recording could be used: {reason}")));
+    }
+    let calibrated = match options.strategies() {
+        (_, false) => People::uncalibrated(usable),
+        (_, true) => personal::calibrate(options, &config, layout, usable, &mut skipped)?,
+    };
+    let people: BTreeSet<u16> = calibrated.recordings.iter().map(PersonRecordings::person).collect();
     let scored: Vec<u16> = people.iter().copied().collect();
     let provenance = Provenance {
         trained_on_person: TrainedOn::any_includes(models(), data_set, &scored),
-        ..provenance(options, &pipelines, begun).map_err(Failure::running)?
+        ..provenance(options, &config, &pipelines, begun).map_err(Failure::running)?
     };
-    let recordings: Vec<Recording> =
-        found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
-
-    let (recordings, unusable) = with_trials(&settings, recordings);
-    if recordings.is_empty() {
-        let reason = unusable.first().map_or("there is none", String::as_str);
-        return Err(Failure::input(anyhow!("no recording could be used: {reason}")));
-    }
     let mut all = AllScores {
         recordings: options.recordings.iter().map(|path| path.display().to_string()).collect(),
         people,
-        skipped: found.skipped.iter().map(ToString::to_string).chain(unusable).collect(),
+        calibrated_on: calibrated.calibrated_on(),
+        scored_on: calibrated.scored_on(),
+        skipped,
         strategies: BTreeMap::new(),
         provenance,
     };
-    let mut text = String::new();
+    let mut text = format!("scored on {}\n", all.scored_on);
+    if let Some(calibrated_on) = &all.calibrated_on {
+        text += &format!("personal: calibrated on {calibrated_on}\n");
+    }
+    text += "\n";
+    let mut add = |strategy: Strategy, scores: StrategyScores| {
+        text += &format!("strategy {}\n{scores}\n", strategy.name());
+        all.strategies.insert(strategy.name(), Some(scores));
+    };
     for (strategy, pipeline) in &mut pipelines {
         let mut works = Works::default();
-        let name = strategy.name();
-        let mut progress =
-            |done, total| works.show(done, total, "recordings", || format!(", strategy {name}"));
-        let scores =
-            score_strategy(pipeline, &settings, &recordings, &mut progress).map_err(Failure::running)?;
-        text += &format!("strategy {name}\n{scores}\n");
-        all.strategies.insert(name, scores);
+        let mut progress = progress_of(&mut works, *strategy);
+        let scores = score_strategy(pipeline, &settings, &calibrated.recordings, &mut progress);
+        add(*strategy, scores.map_err(Failure::running)?);
+    }
+    if !calibrated.people.is_empty() {
+        let mut works = Works::default();
+        let mut progress = progress_of(&mut works, Strategy::Personal);
+        add(Strategy::Personal, personal::score(options, &config, &settings, &calibrated, &mut progress)?);
+    } else if options.strategies().1 {
+        all.strategies.insert(Strategy::Personal.name(), None);
     }
     if !all.skipped.is_empty() {
-        text += &left_out(&all.skipped, "recordings or trials");
+        text += &left_out(&all.skipped, "recordings, trials or people");
     }
     // A closed output does not keep the file from being written, nor the other way round.
     let written = collect(json.iter().map(|file| file.write_json(&all))).map_err(Failure::running);
     written.and(print(text.trim_end()).map_err(Failure::running))
 }
 
+/// Shows how many recordings a strategy has been scored on.
+fn progress_of(works: &mut Works, strategy: Strategy) -> impl FnMut(usize, usize) + '_ {
+    move |done, total| works.show(done, total, "recordings", || format!(", strategy {}", strategy.name()))
+}
+
 /// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
 fn provenance(
     options: &Options,
+    config: &Config,
     pipelines: &[(Strategy, Pipeline)],
     begun: Provenance,
 ) -> anyhow::Result<Provenance> {
@@ -182,31 +249,35 @@ fn provenance(
     }
     models.sort();
     models.dedup();
-    let begun = begun.with_configuration(&configuration(options)?)?.with_models(models)?;
+    let begun = begun.with_configuration(config)?.with_models(models)?;
     Ok(begun.with_recording(&options.recordings)?)
 }
 
-/// A pipeline for each strategy that is to be scored; at least one.
-fn pipelines(options: &Options) -> anyhow::Result<Vec<(Strategy, Pipeline)>> {
+/// A pipeline for each strategy with models that is to be scored.
+fn pipelines(options: &Options, config: &Config) -> anyhow::Result<Vec<(Strategy, Pipeline)>> {
+    let (strategies, _) = options.strategies();
+    if strategies.is_empty() {
+        return Ok(Vec::new());
+    }
     let library = tendon_classifier::runtime_library(options.runtime_library.as_deref())?;
-    let config = configuration(options)?;
     let models = StrategyModels {
         five_gesture: options.five_gesture_model.clone(),
         rest_move: options.rest_move_model.clone(),
         six_class: options.six_class_model.clone(),
     };
-    let chosen = options.strategy.map_or(Strategy::ALL.to_vec(), |strategy| vec![strategy]);
-    let mut pipelines = Vec::new();
-    for strategy in chosen {
-        let settings = PipelineSettings {
-            channels: config.acquisition.channels,
-            sample_rate_hz: config.acquisition.sample_rate_hz,
-            signal: config.dsp.clone(),
-            decision: DecisionSettings { strategy, ..config.decision.clone() },
-        };
-        pipelines.push((strategy, models.pipeline(&library, &settings)?));
+    let pipeline =
+        |strategy| Ok((strategy, models.pipeline(&library, &pipeline_settings(config, strategy))?));
+    strategies.into_iter().map(pipeline).collect()
+}
+
+/// The settings of the pipeline of a strategy.
+fn pipeline_settings(config: &Config, strategy: Strategy) -> PipelineSettings {
+    PipelineSettings {
+        channels: config.acquisition.channels,
+        sample_rate_hz: config.acquisition.sample_rate_hz,
+        signal: config.dsp.clone(),
+        decision: DecisionSettings { strategy, ..config.decision.clone() },
     }
-    Ok(pipelines)
 }
 
 fn configuration(options: &Options) -> anyhow::Result<Config> {

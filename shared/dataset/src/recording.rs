@@ -69,7 +69,7 @@ impl Recording {
     }
 
     /// A repetition of this session, counted through all sessions of the person.
-    pub(crate) fn repetition_of_all(&self, repetition: u32) -> u8 {
+    pub fn repetition_of_all(&self, repetition: u32) -> u8 {
         u8::try_from(self.repetitions_before + repetition).unwrap_or(u8::MAX)
     }
 

@@ -14,6 +14,7 @@ mod continuous;
 mod evaluation;
 mod people;
 mod personal;
+mod personal_strategy;
 mod score;
 mod sequence;
 mod strategies;
@@ -28,6 +29,7 @@ pub use people::{PeopleError, chosen_people};
 pub use personal::{
     PersonalError, PersonalScores, PersonalSettings, gather_cohort, prior_without, score_people,
 };
+pub use personal_strategy::{Calibrating, PersonalStrategyError, calibrate_person, score_personal};
 pub use score::{OnProgress, ScoreError, Scores, score_dataset, score_recordings};
 pub use strategies::{
     PersonRecordings, StrategyError, StrategyModels, StrategyProblem, dataset_settings, score_strategy,

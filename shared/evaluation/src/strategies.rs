@@ -6,6 +6,7 @@
 //!     └─▶ onsets of the movements ──────────────────────────┴─▶ scores
 //! ```
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -16,6 +17,7 @@ use tendon_pipeline::{Pipeline, PipelineError, PipelineSettings};
 use tendon_recordings::{Channel, RecordingError, ReplayBlock, ReplayStream, Segment};
 
 use crate::continuous::{Asked, CuePart, Step, StrategyTally};
+use crate::personal_strategy::PersonalStrategyError;
 use crate::score::OnProgress;
 use crate::strategy_scores::StrategyScores;
 
@@ -98,7 +100,85 @@ pub struct PersonRecordings {
     person: u16,
     /// At least one.
     recordings: Vec<WithTrials>,
+    /// Repetitions that calibrate a recogniser, counted through all sessions; then only the others of the last session
+    /// are scored.
+    calibrating: Option<BTreeSet<u8>>,
 }
+
+impl PersonRecordings {
+    /// Number of the person.
+    pub fn person(&self) -> u16 {
+        self.person
+    }
+
+    /// Sets the first `repetitions` of the first session apart to calibrate on. Scored is the last session, or what is
+    /// left of an only one. By default, four calibrate, or as many as leave something to score.
+    ///
+    /// # Errors
+    /// When nothing is left to score.
+    pub fn hold_back(&mut self, repetitions: Option<u32>) -> Result<(), PersonalStrategyError> {
+        let trials = || self.recordings.iter().flat_map(|recording| &recording.trials);
+        let of_session = |session: &str| {
+            let own = trials().filter(|trial| trial.session == session);
+            own.map(|trial| trial.repetition_of_all).collect::<BTreeSet<u8>>()
+        };
+        let first = of_session(&self.recordings[0].recording.session);
+        let is_only = self.recordings[0].recording.session == self.last_session();
+        let most = first.len() - usize::from(is_only);
+        let repetitions = repetitions.map_or(DEFAULT_REPETITIONS.min(most), |given| given as usize);
+        let calibrating: BTreeSet<u8> = first.iter().copied().take(repetitions).collect();
+        if calibrating.is_empty() || (is_only && calibrating.len() == first.len()) {
+            return Err(PersonalStrategyError::NothingLeft { person: self.person, repetitions });
+        }
+        self.calibrating = Some(calibrating);
+        Ok(())
+    }
+
+    /// Scores everything again.
+    pub fn hold_nothing_back(&mut self) {
+        self.calibrating = None;
+    }
+
+    /// Whether this repetition, counted through all sessions, calibrates.
+    pub(crate) fn calibrates_repetition(&self, repetition_of_all: u8) -> bool {
+        self.calibrating.as_ref().is_some_and(|calibrating| calibrating.contains(&repetition_of_all))
+    }
+
+    /// The recordings with repetitions that calibrate.
+    pub(crate) fn calibrating(&self) -> impl Iterator<Item = &Recording> {
+        let calibrates = |recording: &&WithTrials| {
+            recording.trials.iter().any(|trial| self.calibrates_repetition(trial.repetition_of_all))
+        };
+        self.recordings.iter().filter(calibrates).map(|recording| &recording.recording)
+    }
+
+    /// How many recordings are scored.
+    pub(crate) fn scored_count(&self) -> usize {
+        self.recordings.iter().filter(|recording| self.is_scored(recording)).count()
+    }
+
+    /// An error that concerns all recordings of the person.
+    pub(crate) fn failed(&self, problem: StrategyProblem) -> StrategyError {
+        StrategyError { path: self.recordings[0].recording.path.clone(), problem }
+    }
+
+    fn last_session(&self) -> &str {
+        self.recordings.last().map_or("", |recording| &recording.recording.session)
+    }
+
+    /// Whether anything of a recording is scored.
+    fn is_scored(&self, recording: &WithTrials) -> bool {
+        recording.trials.iter().any(|trial| self.is_trial_scored(&trial.session, trial.repetition_of_all))
+    }
+
+    fn is_trial_scored(&self, session: &str, repetition_of_all: u8) -> bool {
+        self.calibrating.is_none()
+            || (session == self.last_session() && !self.calibrates_repetition(repetition_of_all))
+    }
+}
+
+/// Repetitions that calibrate a recogniser where nobody says how many.
+const DEFAULT_REPETITIONS: usize = 4;
 
 /// A recording that can be read to its end, and where the movements in it begin.
 #[derive(Debug)]
@@ -124,7 +204,9 @@ pub fn with_trials(
                 let usable = WithTrials { recording, trials: cut.trials };
                 match people.iter_mut().find(|own| own.person == person) {
                     Some(own) => own.recordings.push(usable),
-                    None => people.push(PersonRecordings { person, recordings: vec![usable] }),
+                    None => {
+                        people.push(PersonRecordings { person, recordings: vec![usable], calibrating: None });
+                    }
                 }
             }
             Err(error) => skipped.push(recording.skipped(&error).to_string()),
@@ -148,7 +230,7 @@ pub fn score_strategy(
     on_progress: &mut OnProgress<'_>,
 ) -> Result<StrategyScores, StrategyError> {
     let mut tally = tally(pipeline.settings());
-    let total = people.iter().map(|person| person.recordings.len()).sum();
+    let total = people.iter().map(PersonRecordings::scored_count).sum();
     let mut done = 0;
     for person in people {
         let mut on_recording = || {
@@ -161,7 +243,7 @@ pub fn score_strategy(
 }
 
 /// A tally of what a pipeline with these settings does.
-fn tally(settings: &PipelineSettings) -> StrategyTally {
+pub(crate) fn tally(settings: &PipelineSettings) -> StrategyTally {
     let DecisionSettings { gestures, modes, .. } = &settings.decision;
     let works_gripper =
         |gesture: &Gesture| modes.iter().any(|mode| mode.actions.get(gesture) == Some(&Action::Gripper));
@@ -172,8 +254,8 @@ fn tally(settings: &PipelineSettings) -> StrategyTally {
     )
 }
 
-/// Scores the strategy of `pipeline` on one person. `on_recording` is called before each recording.
-fn score_person(
+/// Scores the strategy of `pipeline` on one person. `on_recording` is called before each recording that is scored.
+pub(crate) fn score_person(
     pipeline: &mut Pipeline,
     settings: &DatasetSettings,
     person: &PersonRecordings,
@@ -181,12 +263,16 @@ fn score_person(
     on_recording: &mut dyn FnMut(),
 ) -> Result<(), StrategyError> {
     let calibrated = calibrate(pipeline, settings, person)?;
-    for (index, WithTrials { recording, trials }) in person.recordings.iter().enumerate() {
+    for (index, with_trials) in person.recordings.iter().enumerate() {
+        if !person.is_scored(with_trials) {
+            continue;
+        }
         on_recording();
+        let WithTrials { recording, trials } = with_trials;
         let failed = |problem| StrategyError { path: recording.path.clone(), problem };
         let stream = recording.stream(settings, BLOCK_SAMPLES).map_err(|error| failed(error.into()))?;
         let calibrated = calibrated.get(index).map_or(&[][..], Vec::as_slice);
-        let (cues, steps) = run(pipeline, stream, trials, calibrated).map_err(failed)?;
+        let (cues, steps) = run(pipeline, stream, person, with_trials, calibrated).map_err(failed)?;
         let RecordingEntry { person, session, repetition, .. } = &trials[0];
         tally.add(*person, session, *repetition, &cues, &steps);
     }
@@ -247,7 +333,8 @@ fn calibrate_on(
 fn run(
     pipeline: &mut Pipeline,
     mut stream: ReplayStream,
-    trials: &[RecordingEntry],
+    person: &PersonRecordings,
+    recording: &WithTrials,
     calibrated: &[Range<u64>],
 ) -> Result<(Vec<CuePart>, Vec<Step>), StrategyProblem> {
     pipeline.next_recording()?;
@@ -260,7 +347,16 @@ fn run(
     let mut end = 0;
     while let Some(replayed) = stream.next_block(&mut block)? {
         if segment.replace(replayed.segment) != Some(replayed.segment) {
-            cues.push(cue_part(&segments[replayed.segment], replayed.cue_since, trials));
+            let segment = &segments[replayed.segment];
+            // What follows a cue without one of its own is scored as that cue is.
+            let is_scored = match segment.repetition {
+                Some(repetition) => person.is_trial_scored(
+                    &recording.recording.session,
+                    recording.recording.repetition_of_all(repetition),
+                ),
+                None => cues.last().is_none_or(|cue| cue.is_scored),
+            };
+            cues.push(CuePart { is_scored, ..cue_part(segment, replayed.cue_since, &recording.trials) });
         }
         end = replayed.first_sample + BLOCK_SAMPLES as u64;
         pipeline.push(&block, |step| {
