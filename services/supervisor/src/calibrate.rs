@@ -22,7 +22,7 @@ use tendon_provenance::Provenance;
 use crate::Failure;
 use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{checked, left_out, print};
-use crate::personal::{dataset_settings, personal_windows, shipped_prior};
+use crate::personal::{calibration_settings, personal_windows, shipped_prior};
 use crate::provenance::PROGRAM;
 
 /// Command line of `tendon calibrate`.
@@ -132,7 +132,7 @@ struct Fitted {
 fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyhow::Result<Fitted> {
     let config = options.base.configuration_of("tendon calibrate", &WINDOW_KEYS)?;
     let config = personal_windows(config, &options.base);
-    let settings = dataset_settings(&config, &options.channels, options.recording_rate_hz);
+    let settings = calibration_settings(&config, &options.channels, options.recording_rate_hz);
     let found = list(&settings, &options.from)?;
     let recordings = of_one_person(options, found.recordings)?;
     let number = recordings[0].person;
@@ -144,6 +144,11 @@ fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyho
     };
     let chosen: Vec<usize> =
         chosen.into_iter().filter(|&window| is_wanted(windows.origins()[window].gesture)).collect();
+    ensure!(
+        !windows.origins().is_empty(),
+        "no recording holds a window that can be used: {}",
+        skipped.first().map_or("there are none with a cue", String::as_str)
+    );
     for gesture in &options.gestures {
         let is_there = chosen.iter().any(|&window| windows.origins()[window].gesture == *gesture);
         ensure!(is_there, "--gestures {gesture}: the recordings hold no window of it");
@@ -228,6 +233,7 @@ fn text(learnt: &Learnt, person: &Person) -> String {
     text += &format!("fitted in {:.2} s, {prior}\n", learnt.fit_s);
     let how = match person.expected.held_out {
         HeldOut::Repetitions => "each repetition recognised by a fit to the others",
+        HeldOut::MadeUpRepetitions => "if the next repetitions differ from the only one as other people's do",
         HeldOut::PartsOfOneRepetition => {
             "parts of the only repetition recognised by a fit to the others: expect less, and repeat each gesture to know"
         }

@@ -45,6 +45,17 @@ pub fn dataset_settings(
     }
 }
 
+/// How the recordings that calibrate a person are cut: as [`dataset_settings`], but from the onset of each movement, so that
+/// its beginning is learnt, too.
+pub fn calibration_settings(
+    config: &Config,
+    channels: &[usize],
+    recording_rate_hz: Option<f64>,
+) -> DatasetSettings {
+    let onset = DatasetSettings::default().onset;
+    DatasetSettings { onset, ..dataset_settings(config, channels, recording_rate_hz) }
+}
+
 /// The configuration with a person's windows, unless others are asked for.
 pub fn personal_windows(config: Config, base: &Base) -> Config {
     if base.sets("dsp.windows") || config.dsp.windows != WindowSettings::default() {
@@ -111,6 +122,18 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
     }
     if config.decision.gestures == default.decision.gestures && !base.sets("decision.gestures") {
         config.decision.gestures = person.gesture_set();
+    }
+    let gestures = &config.decision.gestures;
+    if config.decision.modes == default.decision.modes && !base.sets("decision.modes") {
+        // Of the paper's map, what the person makes.
+        for mode in &mut config.decision.modes {
+            mode.actions.retain(|gesture, _| gestures.number(*gesture).is_some());
+        }
+        ensure!(
+            config.decision.modes.iter().any(|mode| !mode.actions.is_empty()),
+            "none of the gestures of {} does anything: say in [[decision.modes]] of the configuration what each does",
+            person.name
+        );
     }
     config.decision.strategy = Strategy::Personal;
     config.inference.person = Some(file.clone());

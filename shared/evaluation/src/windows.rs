@@ -16,6 +16,9 @@ use tendon_gesture::Gesture;
 use tendon_people::{Calibration, CalibrationError, Made, Person, PersonName, SignalFit};
 use tendon_recordings::Channel;
 
+/// So long after its onset, a movement still begins.
+const ENTRY_MS: f64 = 500.0;
+
 /// Where a window comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WindowOrigin {
@@ -25,6 +28,8 @@ pub struct WindowOrigin {
     pub session: usize,
     /// Repetition counted through all sessions.
     pub repetition_of_all: u8,
+    /// It begins within [`ENTRY_MS`] of the onset of its movement.
+    pub is_entry: bool,
 }
 
 /// All windows of a person, in the order in which they were recorded.
@@ -66,13 +71,17 @@ impl PersonWindows {
         let mut trials = Vec::new();
         let cut = cut(settings, recording, &mut |window| {
             self.samples.extend_from_slice(window.samples);
-            trials.push((window.gesture, window.repetition));
+            trials.push((window.gesture, window.repetition, window.trial, window.start_sample));
         });
         match cut {
             Ok(cut) => {
                 skipped.extend(cut.skipped.iter().map(ToString::to_string));
-                let origin =
-                    |(gesture, repetition_of_all)| WindowOrigin { gesture, session, repetition_of_all };
+                let entry_samples = (ENTRY_MS * 1e-3 * settings.sample_rate_hz) as usize;
+                let origin = |(gesture, repetition_of_all, trial, start_sample): (_, _, usize, usize)| {
+                    let onset = cut.trials[trial].onset_sample;
+                    let is_entry = onset.is_some_and(|onset| start_sample < onset + entry_samples);
+                    WindowOrigin { gesture, session, repetition_of_all, is_entry }
+                };
                 self.origins.extend(trials.into_iter().map(origin));
             }
             Err(error) => {
@@ -137,12 +146,14 @@ impl PersonWindows {
         let samples: Vec<f32> = windows.iter().flat_map(|&window| self.window(window)).copied().collect();
         let labels: Vec<usize> = chosen().map(|origin| label(&gestures, origin.gesture)).collect();
         let repetitions: Vec<u32> = chosen().map(|origin| origin.repetition_of_all.into()).collect();
+        let is_entry: Vec<bool> = chosen().map(|origin| origin.is_entry).collect();
         let calibration = Calibration {
             signal: &self.signal,
             gestures: &gestures,
             samples: &samples,
             labels: &labels,
             repetitions: &repetitions,
+            is_entry: &is_entry,
             clipped_shares: &[],
         };
         Person::fit(name, made, &calibration, method, prior)

@@ -22,8 +22,8 @@ pub(crate) enum Press {
 enum Rule {
     /// So many windows in a row; the gripper then moves again and again (the paper's rule).
     Windows(u32),
-    /// So long, in ns; it acts again once it was let go for as long.
-    Time(u64),
+    /// So long, in ns; it acts again once something else was made for so long.
+    Time { hold_ns: u64, release_ns: u64 },
 }
 
 /// The gesture that is held, and what it has led to.
@@ -33,20 +33,33 @@ pub(crate) struct Hold {
     gesture: Gesture,
     windows: u32,
     since_ns: u64,
-    /// A gesture that has acted and was not let go since, and when it was last made.
+    /// A gesture that has acted and was not let go since, and how long something else was made, ns.
     spent: Option<(Gesture, u64)>,
+    /// When the last window was captured.
+    before_ns: u64,
     toggled_ns: Option<u64>,
 }
 
 impl Hold {
     pub(crate) fn new(settings: &DecisionSettings) -> Hold {
         let rule = match settings.strategy {
-            Strategy::Personal => Rule::Time((settings.evidence.hold_ms * 1e6) as u64),
+            Strategy::Personal => Rule::Time {
+                hold_ns: (settings.evidence.hold_ms * 1e6) as u64,
+                release_ns: (settings.evidence.release_ms * 1e6) as u64,
+            },
             Strategy::Threshold | Strategy::TwoStage | Strategy::Direct => {
                 Rule::Windows(settings.grip_windows)
             }
         };
-        Hold { rule, gesture: Gesture::REST, windows: 0, since_ns: 0, spent: None, toggled_ns: None }
+        Hold {
+            rule,
+            gesture: Gesture::REST,
+            windows: 0,
+            since_ns: 0,
+            spent: None,
+            before_ns: 0,
+            toggled_ns: None,
+        }
     }
 
     /// Windows are missing: nobody knows whether the gesture was held through them.
@@ -57,6 +70,18 @@ impl Hold {
     /// Whether this gesture has acted and was not let go since.
     pub(crate) fn is_spent(&self, gesture: Gesture) -> bool {
         self.spent.is_some_and(|(spent, _)| spent == gesture)
+    }
+
+    /// Nobody knows what is made in this window: none is let go, and a held gesture begins anew. Where the length of a grip
+    /// counts, it only waits: else doubt at its end would take the end away.
+    pub(crate) fn doubt(&mut self, settings: &DecisionSettings, captured_ns: u64) {
+        let elapsed_ns = captured_ns.saturating_sub(self.before_ns);
+        self.before_ns = captured_ns;
+        if settings.long_grip_s.is_some() {
+            self.since_ns += elapsed_ns;
+        } else {
+            self.restart();
+        }
     }
 
     /// Takes the gesture of a window; `action` says what a gesture does in the present mode.
@@ -84,19 +109,15 @@ impl Hold {
             return Press::Nothing;
         }
         match (action(gesture), settings.long_grip_s) {
-            (Action::NextMode, _) => self.changes_mode(captured_ns),
+            (Action::NextMode, _) => self.changes_mode(),
             (Action::Gripper, Some(long_grip_s)) => {
                 let held_ns = captured_ns.saturating_sub(self.since_ns);
-                if held_ns as f64 * 1e-9 >= long_grip_s {
-                    self.changes_mode(captured_ns)
-                } else {
-                    Press::Nothing
-                }
+                if held_ns as f64 * 1e-9 >= long_grip_s { self.changes_mode() } else { Press::Nothing }
             }
             (Action::Gripper, None) if self.toggles(settings, captured_ns) => {
                 match self.rule {
                     Rule::Windows(_) => self.windows = 0,
-                    Rule::Time(_) => self.spent = Some((gesture, captured_ns)),
+                    Rule::Time { .. } => self.spent = Some((gesture, 0)),
                 }
                 Press::TogglesGripper
             }
@@ -106,29 +127,32 @@ impl Hold {
 
     /// Forgets that a gesture has acted once it was let go.
     fn let_go(&mut self, gesture: Gesture, captured_ns: u64) {
-        let away_ns = match self.rule {
+        // A time before the last one comes from a source that started anew.
+        let elapsed_ns = captured_ns.saturating_sub(self.before_ns);
+        self.before_ns = captured_ns;
+        let release_ns = match self.rule {
             Rule::Windows(_) => 0,
-            Rule::Time(hold_ns) => hold_ns,
+            Rule::Time { release_ns, .. } => release_ns,
         };
-        match &mut self.spent {
-            Some((spent, made_ns)) if *spent == gesture => *made_ns = captured_ns,
-            // A time before comes from a source that started anew.
-            Some((_, made_ns)) if captured_ns.checked_sub(*made_ns).is_none_or(|away| away >= away_ns) => {
+        if let Some((spent, away_ns)) = &mut self.spent {
+            *away_ns = if *spent == gesture { 0 } else { *away_ns + elapsed_ns };
+            if *spent != gesture && *away_ns >= release_ns {
                 self.spent = None;
             }
-            _ => {}
         }
     }
 
     fn is_held(&self, captured_ns: u64) -> bool {
         match self.rule {
             Rule::Windows(windows) => self.windows >= windows,
-            Rule::Time(hold_ns) => self.windows > 0 && captured_ns.saturating_sub(self.since_ns) >= hold_ns,
+            Rule::Time { hold_ns, .. } => {
+                self.windows > 0 && captured_ns.saturating_sub(self.since_ns) >= hold_ns
+            }
         }
     }
 
-    fn changes_mode(&mut self, captured_ns: u64) -> Press {
-        self.spent = Some((self.gesture, captured_ns));
+    fn changes_mode(&mut self) -> Press {
+        self.spent = Some((self.gesture, 0));
         Press::ChangesMode
     }
 

@@ -21,6 +21,8 @@ pub struct Calibration<'a> {
     pub labels: &'a [usize],
     /// Of each window, which repetition of its gesture it is part of.
     pub repetitions: &'a [u32],
+    /// Of each window, whether it begins within half a second of the onset of its movement; empty if nobody knows.
+    pub is_entry: &'a [bool],
     /// Of each channel, the share of its samples that were clipped, from
     /// [`ClippingWatch`](crate::ClippingWatch); empty if nobody watched.
     pub clipped_shares: &'a [f64],

@@ -4,7 +4,7 @@ use tendon_features::{Discriminant, LaggedLogCovariance, MethodSettings, Prior, 
 use tendon_gesture::Gesture;
 
 use crate::calibration::{Calibration, CalibrationError};
-use crate::effort::{EffortRange, level};
+use crate::effort::{EffortRange, rms_of_channels};
 use crate::expected::{Expected, HeldOut, classes, cross_validate};
 use crate::finding::findings;
 use crate::name::PersonName;
@@ -13,6 +13,12 @@ use crate::quality::ChannelQuality;
 
 /// Share of the held-out windows that are nearer to their gesture than the limit of distance.
 const DISTANCE_SHARE: f64 = 0.99;
+/// The limit is at least so many times the square root of the number of features, which is about the distance of windows
+/// like those of the calibration: another session's are farther away than held-out repetitions.
+const DISTANCE_OF_SESSIONS: f64 = 1.65;
+/// How often a window counts that shows how a movement begins. They are a tenth of a hold, but it is they that decide how
+/// soon and how surely a gesture is answered: docs/decisions/evidence.md.
+const ENTRY_COUNT: usize = 3;
 /// By how much the limit is larger when parts of one repetition were held out: they are more alike than repetitions are.
 const DISTANCE_OF_PARTS: f64 = 1.3;
 
@@ -59,16 +65,45 @@ impl Person {
             increment_s: calibration.signal.increment_s(),
             blocks: &blocks,
         };
-        let discriminant = Discriminant::fit(&training, prior, method)?;
-        let (validation, expected) = cross_validate(calibration, &training, prior, method)?;
+        let emphasised = emphasise(&training, calibration.is_entry);
+        let emphasised = Training {
+            features: &emphasised.features,
+            labels: &emphasised.labels,
+            blocks: &emphasised.blocks,
+            ..training
+        };
+        let discriminant = Discriminant::fit(&emphasised, prior, method)?;
+        let (validation, expected) = cross_validate(calibration, &training, &discriminant, prior, method)?;
         let discriminant = discriminant.with_temperature(validation.temperature(method))?;
-        let of_parts = expected.held_out == HeldOut::PartsOfOneRepetition;
-        let distance_limit =
+        let of_parts = expected.held_out != HeldOut::Repetitions;
+        let of_held_out =
             validation.distance_at(DISTANCE_SHARE) * if of_parts { DISTANCE_OF_PARTS } else { 1.0 };
+        let distance_limit = of_held_out.max(DISTANCE_OF_SESSIONS * (feature_count as f64).sqrt());
         let prior_people = prior.map_or_else(Vec::new, |prior| prior.people().to_vec());
         let fitted = Fitted { floor_variance, distance_limit, discriminant };
         Ok(assemble(name, Made { prior_people, ..made }, calibration, method, expected, fitted))
     }
+}
+
+/// Features, labels and blocks of windows of which some are there several times.
+struct Emphasised {
+    features: Vec<f64>,
+    labels: Vec<usize>,
+    blocks: Vec<usize>,
+}
+
+/// Repeats the windows that show how a movement begins.
+fn emphasise(training: &Training, is_entry: &[bool]) -> Emphasised {
+    let mut emphasised = Emphasised { features: Vec::new(), labels: Vec::new(), blocks: Vec::new() };
+    for (window, features) in training.features.chunks_exact(training.feature_count).enumerate() {
+        let count = if is_entry.get(window).copied().unwrap_or(false) { ENTRY_COUNT } else { 1 };
+        for _ in 0..count {
+            emphasised.features.extend_from_slice(features);
+            emphasised.labels.push(training.labels[window]);
+            emphasised.blocks.push(training.blocks[window]);
+        }
+    }
+    emphasised
 }
 
 /// Everything that is said of a person besides the recogniser itself. Rest is gesture 0.
@@ -82,16 +117,16 @@ fn assemble(
 ) -> Person {
     let Calibration { signal, gestures, labels, .. } = *calibration;
     let channels = qualities(calibration);
-    let rest_rms: Vec<f64> = channels.iter().map(|channel| channel.rest_rms).collect();
-    let levels = |label: usize| -> Vec<f64> {
-        calibration.windows_of(label).map(|window| level(window, &rest_rms)).collect()
+    let rms = |label: usize| -> Vec<Vec<f64>> {
+        let windows = calibration.windows_of(label);
+        windows.map(|window| rms_of_channels(window, channels.len()).collect()).collect()
     };
-    let rest_levels = levels(0);
+    let rest_rms = rms(0);
     let gesture = |(label, name): (usize, &Gesture)| GestureFit {
         name: *name,
         repetitions: calibration.repetitions_of(label).len(),
         windows: labels.iter().filter(|own| **own == label).count(),
-        effort: EffortRange::of(&rest_levels, &levels(label)),
+        effort: EffortRange::of(&rest_rms, &rms(label)),
     };
     Person {
         name,

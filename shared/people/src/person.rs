@@ -126,11 +126,6 @@ impl Person {
         GestureSet::new(gestures).expect("a person is checked when it is fitted or read")
     }
 
-    /// RMS of every channel at rest.
-    pub(crate) fn rest_rms(&self) -> Vec<f64> {
-        self.channels.iter().map(|channel| channel.rest_rms).collect()
-    }
-
     /// How often the gestures other than rest were made: the fewest.
     pub fn repetitions(&self) -> usize {
         self.gestures.iter().skip(1).map(|gesture| gesture.repetitions).min().unwrap_or(0)
@@ -155,7 +150,7 @@ impl Person {
         if !classes.eq(names.iter().map(Gesture::name)) || GestureSet::new(names).is_err() {
             return Err(PersonProblem::Senseless("the list of gestures"));
         }
-        if !gestures.iter().all(|gesture| gesture.effort.is_valid()) {
+        if !gestures.iter().all(|gesture| gesture.effort.is_valid(channels.len())) {
             return Err(PersonProblem::Senseless("the effort of a gesture"));
         }
         let names: Vec<&String> = channels.iter().map(|channel| &channel.name).collect();

@@ -3,7 +3,7 @@
 //! ```text
 //! window ─┬─▶ features ─┬─▶ discriminant ─▶ probability of every gesture
 //!         │             └─▶ distance / limit ─▶ novelty
-//!         └─▶ RMS / RMS at rest ─▶ level ─▶ effort of every gesture
+//!         └─▶ RMS of every channel ─▶ effort of every gesture
 //! ```
 
 use std::fmt;
@@ -11,7 +11,7 @@ use std::fmt;
 use tendon_features::{Discriminant, FeatureError, FitError, LaggedLogCovariance};
 use tendon_signal::FilterSettings;
 
-use crate::effort::{EffortRange, level};
+use crate::effort::{EffortRange, rms_of_channels};
 use crate::person::{Person, SignalFit};
 
 /// Recognises gestures. Once made, it allocates nothing.
@@ -21,7 +21,8 @@ pub struct PersonalRecogniser {
     covariance: LaggedLogCovariance,
     discriminant: Discriminant,
     distance_limit: f64,
-    rest_rms: Vec<f64>,
+    /// Of every channel of the window.
+    rms: Vec<f64>,
     ranges: Vec<EffortRange>,
     features: Vec<f64>,
     whitened: Vec<f64>,
@@ -67,8 +68,8 @@ impl PersonalRecogniser {
             covariance,
             discriminant: person.fitted.discriminant.clone(),
             distance_limit: person.fitted.distance_limit,
-            rest_rms: person.rest_rms(),
-            ranges: person.gestures.iter().map(|gesture| gesture.effort).collect(),
+            rms: vec![0.0; person.channels.len()],
+            ranges: person.gestures.iter().map(|gesture| gesture.effort.clone()).collect(),
             features: vec![0.0; features],
             whitened: vec![0.0; features],
             posterior: vec![0.0; gestures],
@@ -115,13 +116,14 @@ impl PersonalRecogniser {
     fn decide(&mut self, window: &[f32]) -> Result<Recognition<'_>, RecogniseError> {
         self.discriminant.posterior(&self.features, &mut self.posterior)?;
         let distance = self.discriminant.distance(&self.features, &mut self.whitened)?;
-        let level = level(window, &self.rest_rms);
+        let rms = rms_of_channels(window, self.rms.len());
+        self.rms.iter_mut().zip(rms).for_each(|(place, rms)| *place = rms);
         for (narrow, wide) in self.probabilities.iter_mut().zip(&self.posterior) {
             *narrow = *wide as f32;
         }
         // Rest stays at 0.
         for (effort, range) in self.efforts.iter_mut().zip(&self.ranges).skip(1) {
-            *effort = range.effort(level) as f32;
+            *effort = range.effort(&self.rms) as f32;
         }
         Ok(Recognition {
             probabilities: &self.probabilities,

@@ -83,6 +83,7 @@ pub fn fit(recorded: &Recorded) -> Result<Person, CalibrationError> {
         samples: &recorded.samples,
         labels: &recorded.labels,
         repetitions: &recorded.repetitions,
+        is_entry: &[],
         clipped_shares: &[],
     };
     let made = Made { at: "2026-01-02T03:04:05Z".to_owned(), version: "0.1.0".to_owned(), ..Made::default() };
