@@ -27,6 +27,29 @@ fn a_simulated_user_steers_the_arm_into_zones() {
     }
 }
 
+/// The plane in one mode, and x in another; a grip changes them.
+const TWO_MODES: &str = "decision.modes=[{ name = \"y-z\", extension = \"+z\", flexion = \"-z\", ulnar = \"+y\", radial = \"-y\", \
+                         grip = \"next_mode\" }, { name = \"x\", extension = \"+x\", flexion = \"-x\", grip = \"next_mode\" }]";
+
+#[test]
+fn with_a_second_mode_the_zones_lie_in_space_and_are_reached() {
+    let figures = tempfile::tempdir().unwrap();
+    let ended = TendonBuilder::run(&unique_session())
+        .args(&["--task", "zones", "--duration", "45s", "--set", TWO_MODES])
+        .args(&["--set", "task.distance_mm=[50, 80]", "--set", "task.width_mm=60"])
+        .args(&["--set", "task.user.error_rate=0"])
+        .arg("--figures")
+        .arg(figures.path())
+        .end();
+    let task = ended.report().task.unwrap();
+    assert!(task.zones_reached >= 2, "{task:#?}");
+    assert_eq!(task.box_violations, 0);
+    let x_mm: Vec<f64> = task.zones.iter().map(|zone| zone.centre_mm[0]).collect();
+    assert!(x_mm.iter().any(|x_mm| (x_mm - 386.0).abs() > 10.0), "{x_mm:?}");
+    let figure = std::fs::read_to_string(figures.path().join("zones.svg")).unwrap();
+    assert!(figure.contains("side view"));
+}
+
 #[test]
 fn a_script_may_do_the_papers_task_and_a_session_without_a_task_has_no_score() {
     let run = |task: &[&str]| {
@@ -44,6 +67,16 @@ fn a_script_may_do_the_papers_task_and_a_session_without_a_task_has_no_score() {
 fn a_task_that_cannot_be_done_is_refused_before_anything_moves() {
     let run = || TendonBuilder::run(&unique_session()).args(&["--task", "zones"]);
     run().args(&["--set", "task.width_mm=400"]).end().assert_failed(2, &["no room for zones 400 mm wide"]);
+    run()
+        .args(&[
+            "--set",
+            "decision.modes=[{ name = \"turn\", ulnar = \"+yaw\", radial = \"-yaw\", extension = \"+z\" }]",
+        ])
+        .end()
+        .assert_failed(
+            2,
+            &["[[decision.modes]]", "no mode moves the arm both ways along an axis of its base"],
+        );
     run()
         .args(&["--set", "task.dwell_s=-1"])
         .end()

@@ -3,13 +3,13 @@
 use tendon_arm::SimulatedArm;
 use tendon_config::Config;
 use tendon_gesture::Strategy;
-use tendon_zones::{TaskKind, TaskPlan, TaskRun, Workspace};
+use tendon_zones::{Controls, TaskKind, TaskPlan, TaskRun, Workspace};
 
 /// The task of a session with this configuration.
 ///
 /// # Errors
 ///
-/// When there is no room for zones around the arm's start.
+/// When the gestures move the arm nowhere, or there is no room for zones around its start.
 pub fn task(kind: TaskKind, config: &Config, has_simulated_user: bool) -> anyhow::Result<TaskRun> {
     let arm = &config.robot.arm;
     Ok(TaskRun::new(TaskPlan {
@@ -21,7 +21,7 @@ pub fn task(kind: TaskKind, config: &Config, has_simulated_user: bool) -> anyhow
             Strategy::Threshold => config.dsp.activity.calibration_s,
             Strategy::TwoStage | Strategy::Direct | Strategy::Personal => 0.0,
         },
-        speed_mm_per_s: config.decision.speed_mm_per_s,
+        controls: Controls::new(&config.decision)?,
         has_simulated_user,
     })?)
 }

@@ -1,5 +1,12 @@
-//! The picture of a target-zone task: zones, the arm's path and the workspace, seen from in front of the arm. No gesture
-//! moves along x, so all of it lies in one plane: from above there would be a line only.
+//! The picture of a target-zone task: zones, the arm's path and the workspace.
+//!
+//! ```text
+//!      front view           side view, where zones lie along x
+//! z ┌──────────────┐    z ┌──────────────┐
+//!   │  1 ○──┐      │      │    ○──┐ 1    │
+//!   │       └─● 2  │      │    2 ●┘      │
+//!   └──────────────┘ y    └──────────────┘ x
+//! ```
 
 use std::ops::Range;
 use std::path::Path;
@@ -44,16 +51,37 @@ const PATH: RGBColor = RGBColor(33, 113, 181);
 /// Draws the zones of a task, reached ones in green and missed ones in red, numbered as they appeared (without a number
 /// where it would cover others), the arm's
 /// path (blue, from the circle to the dot) and the workspace (the frame). The view is from in front of the arm: y to
-/// the right, z up.
+/// the right, z up. Where zones lie along x, there is another beside it, from the arm's right: x to the right, z up.
 ///
 /// # Errors
 ///
 /// [`FigureError`], naming the file.
 pub fn zones_figure(path: &Path, task: &ZoneTask, report: &TaskReport) -> Result<(), FigureError> {
     let picture = Zones { task, report };
-    let [y_mm, z_mm] = picture.ranges_mm();
-    let size = (pixels(&y_mm) + LABELS + 2 * MARGIN, pixels(&z_mm) + LABELS + CAPTION + LEGEND + 2 * MARGIN);
-    draw(path, size, &picture)
+    let widths = picture.views().map(|view| pixels(&picture.range_mm(view.across)) + LABELS + 2 * MARGIN);
+    let height = pixels(&picture.range_mm(UP)) + LABELS + CAPTION + LEGEND + 2 * MARGIN;
+    draw(path, (widths.sum(), height), &picture)
+}
+
+/// The component of a position that is up in every view.
+const UP: usize = 2;
+
+/// A view of the task.
+#[derive(Clone, Copy)]
+struct View {
+    title: &'static str,
+    /// The component of a position that goes to the right, and its name.
+    across: usize,
+    name: &'static str,
+}
+
+const FRONT: View = View { title: "front view", across: 1, name: "y, mm" };
+const SIDE: View = View { title: "side view", across: 0, name: "x, mm" };
+
+impl View {
+    fn flat(self, position_mm: DVec3) -> DVec2 {
+        DVec2::new(position_mm[self.across], position_mm[UP])
+    }
 }
 
 /// Labels of an axis: one every 100 mm.
@@ -77,66 +105,92 @@ impl Figure for Zones<'_> {
     where
         B::ErrorType: 'static,
     {
-        let [y_mm, z_mm] = self.ranges_mm();
         let TaskReport { name, zones_reached, zones_timed_out, .. } = self.report;
-        let title = format!("{name}, front view: {zones_reached} zones reached, {zones_timed_out} timed out");
+        let counts = format!("{zones_reached} zones reached, {zones_timed_out} timed out");
         let (_, height) = area.dim_in_pixel();
-        let (chart_area, legend_area) = area.split_vertically(height - LEGEND);
-        let mut chart = ChartBuilder::on(&chart_area)
-            .caption(title, (FONT, 20))
-            .margin(MARGIN)
-            .x_label_area_size(LABELS)
-            .y_label_area_size(LABELS)
-            .build_cartesian_2d(y_mm.clone(), z_mm.clone())
-            .map_err(text)?;
-        chart
-            .configure_mesh()
-            .light_line_style(WHITE)
-            .x_labels(ticks(&y_mm))
-            .y_labels(ticks(&z_mm))
-            .x_label_formatter(&|mm| format!("{mm:.0}"))
-            .y_label_formatter(&|mm| format!("{mm:.0}"))
-            .bold_line_style(BLACK.mix(0.08))
-            .x_desc("y, mm")
-            .y_desc("z, mm")
-            .label_style((FONT, 14))
-            .axis_desc_style((FONT, 16))
-            .draw()
-            .map_err(text)?;
-        self.draw_workspace(&mut chart)?;
-        self.draw_zones(&mut chart)?;
-        self.draw_path(&mut chart)?;
-        self.draw_numbers(&mut chart)?;
+        let (mut views_area, legend_area) = area.split_vertically(height - LEGEND);
+        for view in self.views() {
+            let width = pixels(&self.range_mm(view.across)) + LABELS + 2 * MARGIN;
+            let (view_area, others) = views_area.split_horizontally(width);
+            // What there is to say of the task stands above the first view.
+            let title = match view.across {
+                across if across == FRONT.across => format!("{name}, {}: {counts}", view.title),
+                _ => view.title.to_owned(),
+            };
+            self.draw_view(&view_area, view, &title)?;
+            views_area = others;
+        }
         draw_legend(&legend_area)
     }
 }
 
 impl Zones<'_> {
-    /// Ranges of y and z that hold the workspace and the whole path.
-    fn ranges_mm(&self) -> [Range<f64>; 2] {
-        let Workspace { min_mm, max_mm } = *self.task.workspace();
-        let path = self.task.trajectory_mm();
-        let low_mm = path.iter().fold(min_mm, |low, position| low.min(*position)) - BORDER_MM;
-        let high_mm = path.iter().fold(max_mm, |high, position| high.max(*position)) + BORDER_MM;
-        [low_mm.y..high_mm.y, low_mm.z..high_mm.z]
+    /// From in front and, unless all zones lie in one plane across x, from the side.
+    fn views(&self) -> impl Iterator<Item = View> + use<> {
+        std::iter::once(FRONT).chain(self.task.axes()[SIDE.across].then_some(SIDE))
     }
 
-    fn draw_workspace<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
+    /// Range of a component of positions that holds the workspace and the whole path.
+    fn range_mm(&self, component: usize) -> Range<f64> {
+        let Workspace { min_mm, max_mm } = *self.task.workspace();
+        let path = self.task.trajectory_mm().iter().map(|position| position[component]);
+        let low_mm = path.clone().fold(min_mm[component], f64::min) - BORDER_MM;
+        low_mm..path.fold(max_mm[component], f64::max) + BORDER_MM
+    }
+
+    fn draw_view<B: DrawingBackend>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        view: View,
+        title: &str,
+    ) -> Result<(), DrawError>
+    where
+        B::ErrorType: 'static,
+    {
+        let (across_mm, up_mm) = (self.range_mm(view.across), self.range_mm(UP));
+        let mut chart = ChartBuilder::on(area)
+            .caption(title, (FONT, 20))
+            .margin(MARGIN)
+            .x_label_area_size(LABELS)
+            .y_label_area_size(LABELS)
+            .build_cartesian_2d(across_mm.clone(), up_mm.clone())
+            .map_err(text)?;
+        chart
+            .configure_mesh()
+            .light_line_style(WHITE)
+            .x_labels(ticks(&across_mm))
+            .y_labels(ticks(&up_mm))
+            .x_label_formatter(&|mm| format!("{mm:.0}"))
+            .y_label_formatter(&|mm| format!("{mm:.0}"))
+            .bold_line_style(BLACK.mix(0.08))
+            .x_desc(view.name)
+            .y_desc("z, mm")
+            .label_style((FONT, 14))
+            .axis_desc_style((FONT, 16))
+            .draw()
+            .map_err(text)?;
+        self.draw_workspace(&mut chart, view)?;
+        self.draw_zones(&mut chart, view)?;
+        self.draw_path(&mut chart, view)?;
+        self.draw_numbers(&mut chart, view)
+    }
+
+    fn draw_workspace<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
         let Workspace { min_mm, max_mm } = *self.task.workspace();
-        let corners = [(min_mm.y, min_mm.z), (max_mm.y, max_mm.z)];
+        let corners = [min_mm, max_mm].map(|corner| <(f64, f64)>::from(view.flat(corner)));
         chart.draw_series([Rectangle::new(corners, BLACK.stroke_width(2))]).map_err(text).map(|_| ())
     }
 
-    fn draw_zones<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
+    fn draw_zones<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
         let half_mm = self.report.width_mm / 2.0;
         for zone in &self.report.zones {
-            let [_, across, up] = zone.centre_mm;
+            let (across, up) = view.flat(zone.centre_mm.into()).into();
             let colour = colour(zone);
             match self.report.shape {
                 ZoneShape::Sphere => {
@@ -162,12 +216,13 @@ impl Zones<'_> {
         Ok(())
     }
 
-    fn draw_path<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
+    fn draw_path<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
-        let flat = |position_mm: &DVec3| DVec2::new(position_mm.y, position_mm.z);
-        let path = straightened(&self.task.trajectory_mm().iter().map(flat).collect::<Vec<_>>());
+        let path: Vec<DVec2> =
+            self.task.trajectory_mm().iter().map(|position_mm| view.flat(*position_mm)).collect();
+        let path = straightened(&path);
         // Piece by piece: plotters gives a path that turns back on itself no width.
         let pieces = path.windows(2).map(|ends| {
             PathElement::new([<(f64, f64)>::from(ends[0]), ends[1].into()], PATH.stroke_width(2))
@@ -183,12 +238,12 @@ impl Zones<'_> {
             .map(|_| ())
     }
 
-    fn draw_numbers<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>) -> Result<(), DrawError>
+    fn draw_numbers<B: DrawingBackend>(&self, chart: &mut Chart<'_, B>, view: View) -> Result<(), DrawError>
     where
         B::ErrorType: 'static,
     {
         let centres: Vec<DVec2> =
-            self.report.zones.iter().map(|zone| DVec2::new(zone.centre_mm[1], zone.centre_mm[2])).collect();
+            self.report.zones.iter().map(|zone| view.flat(zone.centre_mm.into())).collect();
         let places = number_places(&centres, self.report.width_mm);
         let numbers =
             self.report.zones.iter().zip(places).enumerate().filter_map(|(index, (zone, place))| {
@@ -322,8 +377,12 @@ mod tests {
     fn zones_and_way_are_drawn_with_what_came_of_them() {
         let workspace =
             Workspace { min_mm: DVec3::new(200.0, -400.0, 100.0), max_mm: DVec3::new(600.0, 400.0, 650.0) };
-        for settings in [TaskSettings::default(), TaskSettings::default().as_in_the_paper()] {
-            let mut task = ZoneTask::new(&settings, workspace, 0.0, DVec3::new(386.0, 0.0, 362.0)).unwrap();
+        let (plane, space) = ([false, true, true], [true; 3]);
+        for (settings, axes) in
+            [(TaskSettings::default(), plane), (TaskSettings::default().as_in_the_paper(), space)]
+        {
+            let mut task =
+                ZoneTask::new(&settings, axes, workspace, 0.0, DVec3::new(386.0, 0.0, 362.0)).unwrap();
             for second in 1..40_u32 {
                 // Every other zone is reached; the arm also leaves the workspace, which the picture still shows.
                 let aside_mm = if second < 20 { DVec3::Y * 450.0 } else { DVec3::ZERO };
@@ -337,8 +396,10 @@ mod tests {
             for part in ["front view", "y, mm", "z, mm", "zones reached", "path begins"] {
                 assert!(content.contains(part), "`{part}` is not in the figure");
             }
-            // All lies in one plane across x, so no other view has anything to show.
-            assert!(!content.contains("top view") && !content.contains("x, mm"));
+            // Where all lies in one plane across x, no other view has anything to show.
+            for part in ["side view", "x, mm"] {
+                assert_eq!(content.contains(part), axes == space, "`{part}`");
+            }
             let png = folder.path().join("zones.png");
             zones_figure(&png, &task, &report).unwrap();
             assert!(std::fs::read(&png).unwrap().starts_with(b"\x89PNG"));

@@ -172,7 +172,7 @@ impl DecisionSettings {
     }
 
     /// The highest speed of a motion: its own, or the one that all have. In mm/s, or degrees/s of a rotation.
-    pub(crate) fn speed_of(&self, motion: &Motion) -> f64 {
+    pub fn speed_of(&self, motion: &Motion) -> f64 {
         let of_all = match motion.direction.axis.is_rotation() {
             true => self.rotation_speed_deg_per_s,
             false => self.speed_mm_per_s,

@@ -12,10 +12,11 @@
 //! studies of myoelectric control score pointing: see [`ZoneScore`]. Everything is pure: time and positions
 //! are given from outside, and the same seed gives the same zones and the same user.
 //!
-//! Positions are those of the flange in the arm's base frame, mm. No gesture moves along x, so zones lie in the
-//! plane of the x at which the task began.
+//! Positions are those of the flange in the arm's base frame, mm. Zones lie along the axes that the gestures move the arm
+//! along, in one mode or another: by default along y and z, in the plane of the x at which the task began.
 #![forbid(unsafe_code)]
 
+mod controls;
 mod report;
 mod run;
 mod settings;
@@ -23,6 +24,7 @@ mod task;
 mod user;
 mod zone;
 
+pub use controls::{Controls, NothingMoves};
 pub use report::{TaskReport, ZoneScore};
 pub use run::{TaskKind, TaskPlan, TaskRun};
 pub use settings::{TaskSettings, TaskSettingsError, UserSettings};

@@ -73,7 +73,8 @@ pub struct TaskReport {
     /// Mean over the zones of index of difficulty over movement time, bits/s. ISO 9241-411 asks for the effective
     /// width, from the scatter of end points; here it is the nominal one, as studies with dwelling have it.
     pub throughput_bits_per_s: Option<f64>,
-    /// Mean path efficiency, 0 to 1. With one axis at a time, as the gestures have it, 0.71 to 1 is what can be had.
+    /// Mean path efficiency, 0 to 1. With one axis at a time, as the gestures have it, 0.71 to 1 can be had
+    /// in a plane, 0.58 to 1 in space.
     pub mean_path_efficiency: Option<f64>,
     /// How often zones, reached or missed, were left before the dwelling was over.
     pub overshoots: u32,

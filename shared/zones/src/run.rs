@@ -10,7 +10,9 @@ use glam::DVec3;
 use tendon_gesture::Gesture;
 use tendon_messages::{Permission, Stage, StateHeader};
 
-use crate::{NoRoomForZones, Placement, SimulatedUser, TaskReport, TaskSettings, Workspace, ZoneTask};
+use crate::{
+    Controls, NoRoomForZones, Placement, SimulatedUser, TaskReport, TaskSettings, Workspace, ZoneTask,
+};
 
 /// Which task there is to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -52,8 +54,8 @@ pub struct TaskPlan {
     pub start_mm: DVec3,
     /// How long the strategy calibrates on the first samples, s. The first zone appears after that.
     pub calibration_s: f64,
-    /// Speed of the arm, mm/s, as the simulated user expects it.
-    pub speed_mm_per_s: f64,
+    /// What gestures do. Zones lie where they can move the arm.
+    pub controls: Controls,
     /// Whether the simulated user does the task.
     pub has_simulated_user: bool,
 }
@@ -81,10 +83,10 @@ impl TaskRun {
     /// [`NoRoomForZones`] around the start. Zones will lie around wherever the arm then is, but what can be known now is
     /// refused before anything moves.
     pub fn new(plan: TaskPlan) -> Result<TaskRun, NoRoomForZones> {
-        Placement::new(&plan.settings, plan.start_mm, &plan.workspace)?;
+        Placement::new(&plan.settings, plan.controls.axes(), plan.start_mm, &plan.workspace)?;
         let user = plan
             .has_simulated_user
-            .then(|| SimulatedUser::new(&plan.settings.user, plan.speed_mm_per_s, plan.settings.seed));
+            .then(|| SimulatedUser::new(&plan.settings.user, plan.controls.clone(), plan.settings.seed));
         Ok(TaskRun {
             plan,
             user,
@@ -118,14 +120,14 @@ impl TaskRun {
         let task = match &mut self.under_way {
             Some(task) => task,
             under_way => {
-                let task = ZoneTask::new(&self.plan.settings, self.plan.workspace, time_s, position_mm)
-                    .inspect_err(|_| self.found_no_room = true)?;
-                under_way.insert(task)
+                let TaskPlan { settings, controls, workspace, .. } = &self.plan;
+                let task = ZoneTask::new(settings, controls.axes(), *workspace, time_s, position_mm);
+                under_way.insert(task.inspect_err(|_| self.found_no_room = true)?)
             }
         };
         task.observe(time_s, position_mm);
         if let Some(user) = &mut self.user {
-            let wanted = user.gesture(time_s, position_mm, task.zone());
+            let wanted = user.gesture(time_s, position_mm, header.mode.into(), task.zone());
             // An arm that waits for a rest gets one: the live line asks for it.
             let gesture = if may_move { wanted } else { Gesture::REST };
             if gesture != self.gesture {
@@ -152,13 +154,15 @@ impl TaskRun {
         )
     }
 
-    /// For the live line: which zone there is and where, as seen in the figure, from in front of the arm: up is +z, right
-    /// is +y.
+    /// For the live line: which zone there is and where, as seen from in front of the arm: up is +z, right is +y, and near,
+    /// towards whoever stands there, +x.
     pub fn live(&self) -> String {
         match &self.under_way {
             None => "  rest: the first zone appears soon".to_owned(),
             Some(task) if task.is_inside() => format!("  zone {}: inside, stay", task.zone_number()),
-            Some(task) => format!("  zone {}: {} mm", task.zone_number(), directions(task.offset_mm())),
+            Some(task) => {
+                format!("  zone {}: {} mm", task.zone_number(), directions(task.offset_mm(), task.axes()))
+            }
         }
     }
 
@@ -178,11 +182,15 @@ impl TaskRun {
     }
 }
 
-/// Such as `up 78, right 40`, the greater one first.
-fn directions(offset_mm: DVec3) -> String {
-    let vertical = (offset_mm.z, if offset_mm.z < 0.0 { "down" } else { "up" });
-    let horizontal = (offset_mm.y, if offset_mm.y < 0.0 { "left" } else { "right" });
-    let mut parts = [vertical, horizontal];
+/// Such as `up 78, right 40`, the greatest first, of the axes that zones lie along.
+fn directions(offset_mm: DVec3, axes: [bool; 3]) -> String {
+    let names = [("near", "far"), ("right", "left"), ("up", "down")];
+    let named = |axis: usize| {
+        let (forth, back) = names[axis];
+        (offset_mm[axis], if offset_mm[axis] < 0.0 { back } else { forth })
+    };
+    // The vertical goes first among equals.
+    let mut parts: Vec<_> = (0..3).rev().filter(|axis| axes[*axis]).map(named).collect();
     parts.sort_by(|one, other| other.0.abs().total_cmp(&one.0.abs()));
     let parts: Vec<String> = parts
         .iter()
@@ -195,6 +203,8 @@ fn directions(offset_mm: DVec3) -> String {
 
 #[cfg(test)]
 mod tests {
+    use tendon_gesture::DecisionSettings;
+
     use super::*;
 
     const START_MM: [f32; 3] = [386.0, 0.0, 362.0];
@@ -209,7 +219,7 @@ mod tests {
             },
             start_mm: DVec3::from(START_MM.map(f64::from)),
             calibration_s: 5.0,
-            speed_mm_per_s: 50.0,
+            controls: Controls::new(&DecisionSettings::default()).unwrap(),
             has_simulated_user: true,
         }
     }
@@ -238,9 +248,11 @@ mod tests {
 
     #[test]
     fn the_live_line_says_where_the_zone_is() {
-        assert_eq!(directions(DVec3::new(0.0, 40.2, 78.4)), "up 78, right 40");
-        assert_eq!(directions(DVec3::new(0.0, -90.0, -3.0)), "left 90, down 3");
-        assert_eq!(directions(DVec3::new(0.0, 0.3, -31.0)), "down 31");
+        let in_plane = |offset_mm| directions(offset_mm, [false, true, true]);
+        assert_eq!(in_plane(DVec3::new(4.0, 40.2, 78.4)), "up 78, right 40");
+        assert_eq!(in_plane(DVec3::new(0.0, -90.0, -3.0)), "left 90, down 3");
+        assert_eq!(in_plane(DVec3::new(0.0, 0.3, -31.0)), "down 31");
+        assert_eq!(directions(DVec3::new(-50.0, 3.0, 60.0), [true; 3]), "up 60, far 50, right 3");
         let mut run = TaskRun::new(plan()).unwrap();
         assert!(run.live().contains("first zone"));
         run.observe(&state(6.0, Permission::Granted), START_MM).unwrap();

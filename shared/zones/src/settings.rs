@@ -19,8 +19,8 @@ pub struct TaskSettings {
     pub timeout_s: f64,
     /// Shortest and longest way from the centre of one zone to that of the next, in mm. Default 50 to 150.
     pub distance_mm: [f64; 2],
-    /// Zones lie wholly within ± this of where the task began, along y and z, in mm. Default 180: the arm has
-    /// 200 mm of straight way from its default start.
+    /// Zones lie wholly within ± this of where the task began, along the axes that zones lie along, in mm. Default
+    /// 180: the arm has 200 mm of straight way along y and z from its default start.
     pub reach_mm: f64,
     /// The same seed gives the same zones, however the arm moves, and the same simulated user. Default 0.
     pub seed: u64,

@@ -18,6 +18,7 @@ const TRAJECTORY_STEP_MM: f64 = 1.0;
 #[derive(Clone, Debug)]
 pub struct ZoneTask {
     settings: TaskSettings,
+    axes: [bool; 3],
     workspace: Workspace,
     placement: Placement,
     attempt: Attempt,
@@ -50,21 +51,24 @@ struct Entry {
 }
 
 impl ZoneTask {
-    /// The task begins: the first zone appears. Times are on any clock that goes on steadily.
+    /// The task begins: the first zone appears. Zones lie along the axes x, y, z that are chosen. Times are on any clock that
+    /// goes on steadily.
     ///
     /// # Errors
     ///
     /// [`NoRoomForZones`] around `position_mm`, where the arm is.
     pub fn new(
         settings: &TaskSettings,
+        axes: [bool; 3],
         workspace: Workspace,
         time_s: f64,
         position_mm: DVec3,
     ) -> Result<ZoneTask, NoRoomForZones> {
-        let mut placement = Placement::new(settings, position_mm, &workspace)?;
+        let mut placement = Placement::new(settings, axes, position_mm, &workspace)?;
         let attempt = Attempt::begin(placement.next_zone(), time_s, position_mm);
         Ok(ZoneTask {
             settings: settings.clone(),
+            axes,
             workspace,
             placement,
             attempt,
@@ -121,6 +125,11 @@ impl ZoneTask {
     /// Whether the arm is in the zone.
     pub fn is_inside(&self) -> bool {
         self.attempt.zone.contains(self.position_mm)
+    }
+
+    /// Whether zones lie along x, y, z.
+    pub fn axes(&self) -> [bool; 3] {
+        self.axes
     }
 
     /// The workspace that must not be left.
@@ -235,7 +244,7 @@ mod tests {
     }
 
     fn task(settings: &TaskSettings) -> ZoneTask {
-        ZoneTask::new(settings, workspace(), 10.0, START_MM).unwrap()
+        ZoneTask::new(settings, [false, true, true], workspace(), 10.0, START_MM).unwrap()
     }
 
     /// Positions relative to the centre of the zone there is, at these times.
