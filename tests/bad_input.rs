@@ -89,7 +89,10 @@ fn a_model_for_another_session() {
             "dsp.windows.window_samples=500",
             "window: the model wants 600 samples, the session has 500 samples",
         ),
-        ("dsp.filter.notch_hz=50", "dsp.filter.notch_hz: the model wants 60, the session has 50"),
+        (
+            "dsp.filter.notch_hz=55",
+            "the model wants a notch at 60 Hz or a notch at 50 Hz, the session has a notch at 55 Hz",
+        ),
         ("decision.strategy=direct", "which needs a model that knows rest"),
     ] {
         assert_refused(

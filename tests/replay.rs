@@ -228,3 +228,19 @@ fn live_is_as_offline(strategy: Strategy) {
     Leftovers::remove(&lock, &name);
     assert_nothing_left(&name);
 }
+
+#[test]
+fn a_session_says_once_that_its_rest_is_of_another_unit_than_the_models() {
+    let folder = tempfile::tempdir().unwrap();
+    // Rest in ADC counts, as the models know it, and in something a hundred times as large.
+    for (name, amplitude, is_other) in [("counts.csv", 55.0, false), ("other.csv", 0.55, true)] {
+        let table = folder.path().join(name);
+        write_table(&table, &[Stretch { samples: 14_000, amplitudes: [amplitude; 4] }]);
+        let builder = TendonBuilder::run(&unique_session()).args(&["--pace", "full", "--realtime", "off"]);
+        let ended = builder.args(&["--replay-rate-hz", "2000", "--replay"]).arg(&table).end();
+        assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+        let warnings = ended.errors.matches("times weaker than in the recordings").count();
+        assert_eq!(warnings, usize::from(is_other), "{ended:#?}");
+        assert_eq!(ended.errors.contains("(in ADC counts)"), is_other, "{ended:#?}");
+    }
+}

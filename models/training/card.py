@@ -12,6 +12,7 @@ OZDEMIR = "Ozdemir data set (Ozdemir et al. 2022): forearm EMG of four channels,
 OZDEMIR_CREDIT = """The data set of hand gestures by Ozdemir, M. A., Kisa, D. H., Guren, O., Akan, A. (Mendeley Data, ckwc76xr2z, 2022),
 CC BY."""
 OWN = "Recordings of your own, in their own unit."
+OWN_UNIT = "the recordings' unit"
 OWN_CREDIT = "Those who made the recordings, and the people who were recorded."
 
 
@@ -22,7 +23,7 @@ def source(manifest: dict) -> tuple[str, str, str]:
         return THREE_DC, "ADC counts", THREE_DC_CREDIT
     if names and all(name.endswith(".mat") for name in names):
         return OZDEMIR, "mV", OZDEMIR_CREDIT
-    return OWN, "the recordings' unit", OWN_CREDIT
+    return OWN, OWN_UNIT, OWN_CREDIT
 
 
 # Test accuracy in the paper, by network and number of classes; of the raw signal.
@@ -50,13 +51,15 @@ def write_card(
     """Writes the model card beside OUT and prints it; `truth`, `predicted` and `people` are those of the test windows."""
     classes = len(names)
     # One row per true class, one column per predicted class.
-    confusion = np.bincount(truth * classes + predicted, minlength=classes**2).reshape(classes, classes)
+    answered = predicted >= 0
+    confusion = np.bincount(truth[answered] * classes + predicted[answered], minlength=classes**2).reshape(classes, classes)
+    support = np.bincount(truth, minlength=classes)
     with np.errstate(invalid="ignore"):
         precision = confusion.diagonal() / confusion.sum(0)
-        recall = confusion.diagonal() / confusion.sum(1)
+        recall = confusion.diagonal() / support
         f1 = 2 * precision * recall / (precision + recall)
     scores = [
-        [name, f"{precision[i]:.3f}", f"{recall[i]:.3f}", f"{f1[i]:.3f}", str(confusion[i].sum())]
+        [name, f"{precision[i]:.3f}", f"{recall[i]:.3f}", f"{f1[i]:.3f}", str(support[i])]
         for i, name in enumerate(names)
     ]
     counts = [[f"**{name}**", *map(str, confusion[i])] for i, name in enumerate(names)]
@@ -85,7 +88,7 @@ channel-major; output `probabilities` [1, {classes}]. Z-score and softmax are in
 {table(["", ""], [[key, str(value)] for key, value in recipe.items()])}
 
 ## Test on people never seen in training
-Accuracy **{confusion.trace() / confusion.sum():.4f}** over {confusion.sum()} examples.
+Accuracy **{confusion.trace() / len(truth):.4f}** over {len(truth)} examples.
 
 {table(["class", "precision", "recall", "F1", "examples"], scores)}
 

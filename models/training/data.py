@@ -87,6 +87,14 @@ class Dataset:
             return self.windows[newest]
         return self.windows[newest[:, None] + np.arange(1 - self.sequence_windows, 1)]
 
+    def rest_rms(self) -> np.ndarray | None:
+        """RMS of each channel over the training windows of rest, whatever the classes; None without any."""
+        rest = self.manifest["training_statistics"]["per_gesture"].get("rest")
+        if rest is None or rest["windows"] == 0:
+            return None
+        rms = np.sqrt(np.array(rest["sum_of_squares"]) / (rest["windows"] * self.windows.shape[2]))
+        return rms if (rms > 0).all() else None
+
     def channel_statistics(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of each channel over the training windows of the classes."""
         gestures = [name for name, label in zip(GESTURES, self.class_of_gesture) if label >= 0]

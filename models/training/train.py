@@ -30,7 +30,7 @@ import onnxruntime
 import torch
 from torch import nn
 
-from card import write_card
+from card import OWN_UNIT, source, write_card
 from data import CLASS_SETS, GESTURES, PAPER_FILTER, SEQUENCE_WINDOWS, Dataset, class_names
 from networks import NETWORKS, GestureLstm, export
 
@@ -47,11 +47,13 @@ SMOKE_ACCURACY = 0.9
 
 @torch.no_grad()
 def predict(model: nn.Module, dataset: Dataset, newest: np.ndarray, device: torch.device) -> np.ndarray:
-    """Predicted class of each example, in their order."""
+    """Predicted class of each example, in their order; -1 where the outputs are not finite: no answer."""
     model.eval()
     batches = (newest[start : start + 512] for start in range(0, len(newest), 512))
     examples = (torch.from_numpy(dataset.examples(batch)).to(device) for batch in batches)
-    return np.concatenate([model(batch).argmax(1).cpu().numpy() for batch in examples])
+    outputs = (model(batch) for batch in examples)
+    classes = (torch.where(output.isfinite().all(1), output.argmax(1), -1) for output in outputs)
+    return np.concatenate([batch.cpu().numpy() for batch in classes])
 
 
 def show_progress(text: str) -> None:
@@ -267,6 +269,12 @@ def run(arguments, stop_after: int | None = None) -> float:
             f"epochs {recipe['epochs']}; seed {arguments.seed}"
         ),
     }
+    metadata["tendon.channel_names"] = json.dumps([str(channel) for channel in made_with["channels"]], separators=(",", ":"))
+    unit = source(dataset.manifest)[1]
+    if unit != OWN_UNIT:
+        metadata["tendon.unit"] = unit
+    if (rest_rms := dataset.rest_rms()) is not None:
+        metadata["tendon.rest_rms"] = json.dumps([float(f"{value:.4g}") for value in rest_rms], separators=(",", ":"))
     # People have their numbers within a data set; those of recordings of your own mean nothing elsewhere.
     if dataset.manifest.get("data_set"):
         metadata["tendon.data_set"] = dataset.manifest["data_set"]

@@ -13,11 +13,13 @@
 use std::process::ExitCode;
 
 use anyhow::ensure;
-use tendon_classifier::{Recogniser, RecogniserFiles, Recognition, WindowSource};
-use tendon_messages::{Measured, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowHeader};
+use tendon_classifier::{Recogniser, RecogniserFiles, Recognition, RestCheck, WindowSource};
+use tendon_messages::{Measured, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowContext, WindowHeader};
 use tendon_process::{Consumer, Policy, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber, now_ns};
 
+/// The filter has settled after this time, s.
+const SETTLED_S: f64 = 1.0;
 /// Windows classified before the session starts: the first runs allocate and fill caches.
 const WARM_UP_RUNS: usize = 20;
 /// How long before the next window's newest sample the rehearsal begins: a run on cold caches and one on warm
@@ -63,7 +65,13 @@ fn main() -> ExitCode {
             }
         });
         let models: Vec<String> = recogniser.models().iter().map(|path| path.display().to_string()).collect();
-        let inference = Inference { recogniser, predictions, rehearsal };
+        let (rest_rms, unit) = recogniser.rest();
+        let rest = (!rest_rms.is_empty()).then(|| Rest {
+            check: RestCheck::new(&rest_rms),
+            unit: if unit.is_empty() { String::new() } else { format!(" (in {unit})") },
+            settled_sample: (SETTLED_S * acquisition.sample_rate_hz) as u64,
+        });
+        let inference = Inference { recogniser, predictions, rehearsal, rest };
         process.connect(&windows)?;
         process.ready(&models.join(", "))?;
         Ok(move |process: &mut StageProcess| process.consume(windows, inference))
@@ -75,6 +83,38 @@ struct Inference {
     predictions: Publisher<PredictionHeader, f32>,
     /// Only under SCHED_FIFO.
     rehearsal: Option<Rehearsal>,
+    /// Until the rest calibration is over; not if the recogniser does not say what its rest was.
+    rest: Option<Rest>,
+}
+
+/// The first rest of the session, beside that which the recogniser learnt from.
+struct Rest {
+    check: RestCheck,
+    /// That of the recogniser, in brackets.
+    unit: String,
+    /// From this sample on, the filter has settled.
+    settled_sample: u64,
+}
+
+impl Rest {
+    /// Takes a window. Once the calibration is over, it says what differs, and there is nothing left to check.
+    fn take(&mut self, window: &[f32], context: &WindowContext) -> bool {
+        if context.calibration_left_ms > 0 {
+            if context.first_sample >= self.settled_sample && context.replaced_samples == 0 {
+                self.check.push(window);
+            }
+            return true;
+        }
+        if let Some(difference) = self.check.difference() {
+            tracing::warn!(
+                "at rest the signal is {difference} than in the recordings that the recogniser learnt from{}, so it will \
+                 recognise little: give it the same unit and amplifier, or calibrate or train with this signal \
+                 (tendon calibrate, docs/models.md)",
+                self.unit
+            );
+        }
+        false
+    }
 }
 
 /// When and on what to rehearse.
@@ -111,6 +151,11 @@ impl Consumer<WindowHeader, f32> for Inference {
         }
         if let Some(rehearsal) = &mut self.rehearsal {
             rehearsal.next_window_ns = Some(trace.captured_ns + rehearsal.increment_ns);
+        }
+        if let Some(rest) = &mut self.rest
+            && !rest.take(window.payload(), &header.context)
+        {
+            self.rest = None;
         }
         let Recognition { probabilities, efforts, novelty } =
             self.recogniser.recognise(window.payload(), header.context.first_sample)?;

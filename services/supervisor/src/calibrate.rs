@@ -144,6 +144,11 @@ fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyho
     };
     let chosen: Vec<usize> =
         chosen.into_iter().filter(|&window| is_wanted(windows.origins()[window].gesture)).collect();
+    ensure!(
+        !windows.origins().is_empty(),
+        "no recording holds a window that can be used: {}",
+        skipped.first().map_or("there are none with a cue", String::as_str)
+    );
     for gesture in &options.gestures {
         let is_there = chosen.iter().any(|&window| windows.origins()[window].gesture == *gesture);
         ensure!(is_there, "--gestures {gesture}: the recordings hold no window of it");
@@ -228,6 +233,7 @@ fn text(learnt: &Learnt, person: &Person) -> String {
     text += &format!("fitted in {:.2} s, {prior}\n", learnt.fit_s);
     let how = match person.expected.held_out {
         HeldOut::Repetitions => "each repetition recognised by a fit to the others",
+        HeldOut::MadeUpRepetitions => "if the next repetitions differ from the only one as other people's do",
         HeldOut::PartsOfOneRepetition => {
             "parts of the only repetition recognised by a fit to the others: expect less, and repeat each gesture to know"
         }

@@ -123,6 +123,18 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
     if config.decision.gestures == default.decision.gestures && !base.sets("decision.gestures") {
         config.decision.gestures = person.gesture_set();
     }
+    let gestures = &config.decision.gestures;
+    if config.decision.modes == default.decision.modes && !base.sets("decision.modes") {
+        // Of the paper's map, what the person makes.
+        for mode in &mut config.decision.modes {
+            mode.actions.retain(|gesture, _| gestures.number(*gesture).is_some());
+        }
+        ensure!(
+            config.decision.modes.iter().any(|mode| !mode.actions.is_empty()),
+            "none of the gestures of {} does anything: say in [[decision.modes]] of the configuration what each does",
+            person.name
+        );
+    }
     config.decision.strategy = Strategy::Personal;
     config.inference.person = Some(file.clone());
     Ok((file, person))

@@ -19,8 +19,14 @@ pub struct Contract {
     pub window_samples: usize,
     /// Successive windows that are classified together: 1, except for a model of sequences.
     pub sequence_windows: usize,
-    /// Filter before the window.
-    pub filter: FilterSettings,
+    /// Filters before the window that its training allows, at least one; the first is that of most of its windows.
+    pub filters: Vec<FilterSettings>,
+    /// Names of the channels it was trained on, in order; empty if the model does not say.
+    pub channel_names: Vec<String>,
+    /// Unit of the samples it was trained on; empty if the model does not say.
+    pub unit: String,
+    /// RMS of each channel of the windows of rest that it was trained on; empty if the model does not say.
+    pub rest_rms: Vec<f64>,
     /// What the window holds; the filtered signal if the metadata do not say.
     pub input: WindowInput,
     /// Classes in the order of the outputs.
@@ -226,18 +232,19 @@ impl Contract {
             return Err(ContractProblem::Version { found: version });
         }
         let accuracy = "tendon.validation_accuracy";
+        let channels = count("tendon.channels", &get("tendon.channels")?)?;
         Ok(Contract {
-            channels: count("tendon.channels", &get("tendon.channels")?)?,
+            channels,
+            channel_names: list("tendon.channel_names", &lookup, channels)?,
+            unit: lookup("tendon.unit").unwrap_or_default(),
+            rest_rms: rest_rms(&lookup, channels)?,
             sample_rate_hz: number("tendon.sample_rate_hz", &get("tendon.sample_rate_hz")?, |rate| {
                 rate.is_finite() && rate > 0.0
             })?,
             window_samples: count("tendon.window_samples", &get("tendon.window_samples")?)?,
             sequence_windows: lookup("tendon.sequence_windows")
                 .map_or(Ok(1), |value| count("tendon.sequence_windows", &value))?,
-            filter: {
-                let filter = get("tendon.filter")?;
-                serde_json::from_str(&filter).map_err(|_| senseless("tendon.filter", &filter))?
-            },
+            filters: read_filters(&get("tendon.filter")?)?,
             input: match lookup("tendon.input").as_deref() {
                 None | Some("raw") => WindowInput::Raw,
                 Some("envelope") => WindowInput::Envelope,
@@ -281,8 +288,8 @@ impl Contract {
             format!("{} at a time", source.sequence_windows),
         );
         if let Some(filter) = source.filter {
-            for ((key, wants), (_, has)) in filter_keys(&self.filter).into_iter().zip(filter_keys(filter)) {
-                compare(key, wants == has, wants, has);
+            for (what, wants, has) in filter_differences(&self.filters, filter) {
+                compare(what, false, wants, has);
             }
         }
         let said = |input| match input {
@@ -294,16 +301,73 @@ impl Contract {
     }
 }
 
-/// Every key of the filter with its value as `tendon.toml` writes it.
-fn filter_keys(filter: &FilterSettings) -> [(&'static str, String); 4] {
+/// Every setting in which `filter` is unlike all that are allowed: its key, what is allowed, what it is. Where each
+/// setting is allowed, but not all together, the filters as a whole.
+fn filter_differences(
+    allowed: &[FilterSettings],
+    filter: &FilterSettings,
+) -> Vec<(&'static str, String, String)> {
+    if allowed.contains(filter) {
+        return Vec::new();
+    }
+    let all: Vec<_> = allowed.iter().map(filter_values).collect();
+    let mut differences = Vec::new();
+    for (place, (what, has)) in filter_values(filter).into_iter().enumerate() {
+        let mut wants: Vec<&str> = Vec::new();
+        for (_, value) in all.iter().map(|values| &values[place]) {
+            if !wants.contains(&value.as_str()) {
+                wants.push(value);
+            }
+        }
+        if !wants.contains(&has.as_str()) {
+            differences.push((what, wants.join(" or "), has));
+        }
+    }
+    if differences.is_empty() {
+        let whole = |filter| filter_values(filter).map(|(_, value)| value).join(", ");
+        let wants = allowed.iter().map(whole).collect::<Vec<_>>().join("; or ");
+        differences.push(("dsp.filter", wants, whole(filter)));
+    }
+    differences
+}
+
+/// Every setting of a filter: its key, and its value in words.
+fn filter_values(filter: &FilterSettings) -> [(&'static str, String); 4] {
     let FilterSettings { notch_hz, notch_quality, band_pass_hz: [low, high], band_pass_order } = filter;
-    let notch_hz = notch_hz.map_or_else(|| "\"off\"".to_owned(), |hz| hz.to_string());
+    let notch = notch_hz.map_or_else(|| "no notch".to_owned(), |hz| format!("a notch at {hz} Hz"));
     [
-        ("dsp.filter.notch_hz", notch_hz),
-        ("dsp.filter.notch_quality", notch_quality.to_string()),
-        ("dsp.filter.band_pass_hz", format!("[{low}, {high}]")),
-        ("dsp.filter.band_pass_order", band_pass_order.to_string()),
+        ("dsp.filter.notch_hz", notch),
+        ("dsp.filter.notch_quality", format!("a notch of quality {notch_quality}")),
+        ("dsp.filter.band_pass_hz", format!("a band-pass of {low} to {high} Hz")),
+        ("dsp.filter.band_pass_order", format!("a band-pass of order {band_pass_order}")),
     ]
+}
+
+/// One filter, or a list of those that are allowed.
+fn read_filters(text: &str) -> Result<Vec<FilterSettings>, ContractProblem> {
+    let list = serde_json::from_str::<Vec<FilterSettings>>(text);
+    let filters = list.or_else(|_| serde_json::from_str::<FilterSettings>(text).map(|filter| vec![filter]));
+    filters.ok().filter(|filters| !filters.is_empty()).ok_or_else(|| senseless("tendon.filter", text))
+}
+
+/// A JSON list with something for every channel; empty if the model does not say.
+fn list<T: serde::de::DeserializeOwned>(
+    key: &'static str,
+    lookup: impl Fn(&str) -> Option<String>,
+    channels: usize,
+) -> Result<Vec<T>, ContractProblem> {
+    let Some(text) = lookup(key) else { return Ok(Vec::new()) };
+    let values: Option<Vec<T>> = serde_json::from_str(&text).ok();
+    values.filter(|values| values.len() == channels).ok_or_else(|| senseless(key, &text))
+}
+
+fn rest_rms(lookup: impl Fn(&str) -> Option<String>, channels: usize) -> Result<Vec<f64>, ContractProblem> {
+    let key = "tendon.rest_rms";
+    let values: Vec<f64> = list(key, &lookup, channels)?;
+    if values.iter().all(|value| value.is_finite() && *value > 0.0) {
+        return Ok(values);
+    }
+    Err(senseless(key, &lookup(key).unwrap_or_default()))
 }
 
 fn senseless(key: &'static str, value: &str) -> ContractProblem {
@@ -386,8 +450,9 @@ mod tests {
         assert_eq!(
             text,
             [
-                "dsp.filter.notch_hz: the model wants 60, the session has \"off\"",
-                "dsp.filter.band_pass_hz: the model wants [5, 500], the session has [20, 450.5]",
+                "dsp.filter.notch_hz: the model wants a notch at 60 Hz, the session has no notch",
+                "dsp.filter.band_pass_hz: the model wants a band-pass of 5 to 500 Hz, the session has a band-pass of \
+                 20 to 450.5 Hz",
             ]
         );
         let of_sequences = Contract { sequence_windows: 5, ..contract };
@@ -428,6 +493,65 @@ mod tests {
         assert_eq!(any(&[&of_own, &of_3dc], &[2, 3]), Some(true));
         assert_eq!(any(&[&of_3dc, &of_own], &[2]), None);
         assert_eq!(any(&[&of_3dc], &[2, 4]), Some(false));
+    }
+
+    #[test]
+    fn a_model_may_allow_several_filters_and_the_refusal_names_them() {
+        let filter = |notch_hz: Option<f64>, band_pass_order| FilterSettings {
+            notch_hz,
+            band_pass_order,
+            ..FilterSettings::default()
+        };
+        let allowed = [filter(Some(60.0), 6), filter(Some(50.0), 4)];
+        let contract = Contract::read(|key| match key {
+            "tendon.filter" => serde_json::to_string(&allowed).ok(),
+            _ => metadata(key),
+        })
+        .unwrap();
+        let refusal = |filter: &FilterSettings| {
+            let source = WindowSource {
+                name: "the session",
+                channels: 4,
+                sample_rate_hz: 2000.0,
+                window_samples: 600,
+                sequence_windows: 1,
+                filter: Some(filter),
+                input: WindowInput::Raw,
+            };
+            contract.mismatches(&source).iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+        };
+        assert_eq!(refusal(&allowed[0]) + &refusal(&allowed[1]), "");
+        assert_eq!(
+            refusal(&filter(None, 4)),
+            "dsp.filter.notch_hz: the model wants a notch at 60 Hz or a notch at 50 Hz, the session has no notch"
+        );
+        // Each setting is one that is allowed, but not with the other.
+        let together = refusal(&filter(Some(50.0), 6));
+        assert!(together.starts_with("dsp.filter: the model wants a notch at 60 Hz"), "{together}");
+        assert!(together.contains("order 6; or a notch at 50 Hz"), "{together}");
+    }
+
+    #[test]
+    fn a_model_may_say_the_names_the_unit_and_the_rest_of_its_channels() {
+        let read = |key: &'static str, value: &'static str| {
+            Contract::read(|wanted| if wanted == key { Some(value.to_owned()) } else { metadata(wanted) })
+        };
+        let silent = Contract::read(metadata).unwrap();
+        assert_eq!((silent.channel_names.len(), silent.unit.as_str(), silent.rest_rms.len()), (0, "", 0));
+        let names = read("tendon.channel_names", r#"["0","3","5","8"]"#).unwrap().channel_names;
+        assert_eq!(names, ["0", "3", "5", "8"]);
+        assert_eq!(read("tendon.unit", "ADC counts").unwrap().unit, "ADC counts");
+        assert_eq!(read("tendon.rest_rms", "[1, 2.5, 3, 4]").unwrap().rest_rms, [1.0, 2.5, 3.0, 4.0]);
+        for (key, value) in [
+            ("tendon.channel_names", r#"["0","3"]"#),
+            ("tendon.rest_rms", "[1, 2, 3]"),
+            ("tendon.rest_rms", "[1, 2, 3, 0]"),
+            ("tendon.rest_rms", "quiet"),
+            ("tendon.filter", "[]"),
+        ] {
+            let problem = read(key, value).unwrap_err().to_string();
+            assert!(problem.contains(key) && problem.contains(value), "{problem}");
+        }
     }
 
     #[test]

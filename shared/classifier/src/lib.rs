@@ -11,6 +11,7 @@ mod contract;
 mod locate;
 mod metadata;
 mod recogniser;
+mod rest;
 mod run;
 
 use std::path::{Path, PathBuf};
@@ -29,6 +30,8 @@ pub use recogniser::{
     DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, RecogniserFiles, default_model_file,
 };
 pub use tendon_people::Recognition;
+
+pub use rest::{RestCheck, RestDifference};
 
 use run::{RunError, Runner};
 

@@ -271,6 +271,20 @@ impl Recogniser {
         }
     }
 
+    /// RMS of each channel at rest in the recordings that it learnt from, and their unit; both empty if it does not say.
+    pub fn rest(&self) -> (Vec<f64>, &str) {
+        match &self.0 {
+            Kind::Networks(networks) => {
+                let contract = networks.gestures.contract();
+                (contract.rest_rms.clone(), &contract.unit)
+            }
+            Kind::Person(of_person) => {
+                let Person { channels, signal, .. } = &of_person.person;
+                (channels.iter().map(|channel| channel.rest_rms).collect(), &signal.unit)
+            }
+        }
+    }
+
     /// Whom each model was trained on, as far as its metadata say. A person is not trained on anybody else.
     pub fn trained_on(&self) -> impl Iterator<Item = &TrainedOn> {
         let networks = match &self.0 {

@@ -21,7 +21,7 @@ use tendon_features::{
 use tendon_gesture::{Class, Gesture};
 use tendon_people::{CalibrationError, Made, Person, PersonName, PersonalRecogniser, RecogniseError};
 
-use crate::evaluation::Evaluation;
+use crate::evaluation::{Evaluation, Spread};
 use crate::people::{PeopleError, chosen_people};
 use crate::score::OnProgress;
 use crate::tally::{Answer, Origin, Tally};
@@ -55,6 +55,8 @@ pub struct PersonalScores {
     pub prior_from: &'static str,
     /// Other people whose recordings made the prior; of the person with the fewest.
     pub prior_people: usize,
+    /// What the calibrations alone said of the accuracy to expect; mean of the people.
+    pub expected_accuracy: f64,
     /// Time to fit one person, s: the longest.
     pub longest_fit_s: f64,
     /// Recordings and people that could not be used, and why.
@@ -213,6 +215,7 @@ pub fn score_people(
         scored_on: "each person's last session, or what is left of an only one".to_owned(),
         prior_from,
         prior_people: scored.fewest_others.unwrap_or(0),
+        expected_accuracy: Spread::of(&scored.expected).mean,
         people: scored.people,
         longest_fit_s: scored.longest_fit_s,
         skipped,
@@ -225,6 +228,7 @@ pub fn score_people(
 #[derive(Default)]
 struct Scored {
     people: BTreeSet<u16>,
+    expected: Vec<f64>,
     longest_fit_s: f64,
     fewest_others: Option<usize>,
     answers: Vec<GivenAnswer>,
@@ -267,6 +271,7 @@ impl Scored {
         let others = prior.map_or(0, |prior| prior.people().len());
         self.fewest_others = Some(self.fewest_others.map_or(others, |fewest| fewest.min(others)));
         self.people.insert(number);
+        self.expected.push(person.expected.accuracy);
         self.windows(number, windows, &calibrating, &person)
     }
 

@@ -196,7 +196,7 @@ fn settings_of(contract: &Contract, channels: &[usize]) -> DatasetSettings {
     DatasetSettings {
         channels: channels.iter().copied().map(Channel::Index).collect(),
         sample_rate_hz: contract.sample_rate_hz,
-        filter: Some(contract.filter.clone()),
+        filter: contract.filters.first().cloned(),
         input: contract.input,
         windows: WindowSettings {
             window_samples: contract.window_samples,

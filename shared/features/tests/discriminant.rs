@@ -2,7 +2,7 @@
 
 use tendon_features::{
     Class, Cohort, CrossValidation, Discriminant, FeatureLayout, FitError, LaggedLogCovariance, MemberId,
-    MethodSettings, Prior, PriorError, Training, WithinClassScatter,
+    MethodSettings, Prior, PriorError, Training, WithinClassScatter, recognised_in_new_repetitions,
 };
 
 /// Windows of three features about the means 0, 3 and 6, in turns of the classes.
@@ -301,4 +301,32 @@ fn a_prior_for_other_features_is_refused_by_name() {
         Prior::pool(layout(), [("other", &few)]),
         Err(PriorError::TooFewWindows { windows: 3, length: 3 })
     ));
+}
+
+#[test]
+fn in_repetitions_that_differ_more_than_gestures_do_less_is_recognised() {
+    let session = Session::new(60, 1);
+    let training = session.training();
+    let discriminant = Discriminant::fit(&training, None, &MethodSettings::default()).expect("a fit");
+    let recognised = |spread: f64| {
+        let mut cohort = Cohort::new(layout());
+        for number in 1..=4 {
+            let mut other = Session::new(90, 7 * u32::from(number));
+            // Every repetition of these people is shifted, along the line on which the classes lie.
+            let blocks = other.blocks.clone();
+            for (window, block) in other.features.chunks_exact_mut(3).zip(blocks) {
+                window[0] += spread * (block as f64 - 1.5) * if number % 2 == 0 { 1.0 } else { -1.0 };
+            }
+            let id = MemberId { data_set: String::new(), number };
+            cohort.add(id, &[other.training()], &other.training()).expect("a member");
+        }
+        let prior = cohort.prior(|_| true).expect("a prior").expect("enough people");
+        let population = prior.population().expect("repetitions");
+        let confusion = recognised_in_new_repetitions(&training, &discriminant, population).expect("scores");
+        assert!(confusion.iter().all(|row| row.iter().sum::<usize>() == 20 * 50));
+        (0..3).map(|class| confusion[class][class]).sum::<usize>() as f64 / 3000.0
+    };
+    let (alike, different) = (recognised(0.0), recognised(2.0));
+    assert!(alike > 0.95 && different < 0.9, "{alike} {different}");
+    assert_eq!(different, recognised(2.0), "the same every time");
 }

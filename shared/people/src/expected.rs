@@ -2,11 +2,15 @@
 //!
 //! ```text
 //! several repetitions   each in turn is recognised by a fit to the others
-//! only one              the same with four parts of it, which are more alike than repetitions are
+//! only one, with prior  made-up ones, which differ from it as other people's repetitions differ
+//! only one, alone       four parts of it in turn, which are more alike than repetitions are
 //! ```
 
 use serde::{Deserialize, Serialize};
-use tendon_features::{Class, CrossValidation, FitError, MethodSettings, Prior, Training};
+use tendon_features::{
+    Class, CrossValidation, Discriminant, FitError, MethodSettings, Prior, Training,
+    recognised_in_new_repetitions,
+};
 use tendon_gesture::Gesture;
 
 use crate::calibration::Calibration;
@@ -22,6 +26,8 @@ const ALIKE_SHARE: f64 = 0.05;
 pub enum HeldOut {
     /// Whole repetitions.
     Repetitions,
+    /// Nothing: repetitions were made up from the only one and from how other people's repetitions differ.
+    MadeUpRepetitions,
     /// Parts of the only repetition: what is said is too good.
     PartsOfOneRepetition,
 }
@@ -72,10 +78,12 @@ impl Expected {
     }
 }
 
-/// Recognises what is held out of `training`, whose labels are those of `calibration`.
+/// Recognises what is held out of `training`, whose labels are those of `calibration`. `discriminant` is fitted to all of
+/// it.
 pub(crate) fn cross_validate(
     calibration: &Calibration,
     training: &Training,
+    discriminant: &Discriminant,
     prior: Option<&Prior>,
     method: &MethodSettings,
 ) -> Result<(CrossValidation, Expected), FitError> {
@@ -97,7 +105,13 @@ pub(crate) fn cross_validate(
     let labels: Vec<usize> = windows.iter().map(|&window| training.labels[window]).collect();
     let divided = Training { features: &features, labels: &labels, blocks: &parts, ..*training };
     let validation = CrossValidation::new(&divided, prior, method)?;
-    let expected = Expected::of(validation.confusion(), HeldOut::PartsOfOneRepetition);
+    let expected = match prior.and_then(Prior::population) {
+        Some(population) => Expected::of(
+            recognised_in_new_repetitions(training, discriminant, population)?,
+            HeldOut::MadeUpRepetitions,
+        ),
+        None => Expected::of(validation.confusion(), HeldOut::PartsOfOneRepetition),
+    };
     Ok((validation, expected))
 }
 

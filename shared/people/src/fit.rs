@@ -73,9 +73,9 @@ impl Person {
             ..training
         };
         let discriminant = Discriminant::fit(&emphasised, prior, method)?;
-        let (validation, expected) = cross_validate(calibration, &training, prior, method)?;
+        let (validation, expected) = cross_validate(calibration, &training, &discriminant, prior, method)?;
         let discriminant = discriminant.with_temperature(validation.temperature(method))?;
-        let of_parts = expected.held_out == HeldOut::PartsOfOneRepetition;
+        let of_parts = expected.held_out != HeldOut::Repetitions;
         let of_held_out =
             validation.distance_at(DISTANCE_SHARE) * if of_parts { DISTANCE_OF_PARTS } else { 1.0 };
         let distance_limit = of_held_out.max(DISTANCE_OF_SESSIONS * (feature_count as f64).sqrt());

@@ -100,6 +100,7 @@ fn text(options: &Options, scores: &PersonalScores) -> String {
     if !scores.skipped.is_empty() {
         text += &format!("{}\n", left_out(&scores.skipped, "recordings, trials or people"));
     }
+    text += &format!("the calibrations alone expected {:.4}\n", scores.expected_accuracy);
     text += &format!("longest calibration {:.2} s", scores.longest_fit_s);
     if let Some(folder) = &options.figures {
         text += &format!("\nfigures in {}", folder.display());
