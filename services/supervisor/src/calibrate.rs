@@ -1,29 +1,40 @@
-//! `tendon calibrate NAME`: fits a person to recordings with cues and keeps them.
+//! `tendon calibrate NAME`: records a person by cues, or takes recordings with cues, fits the person and keeps them.
 //!
 //! ```text
-//! recordings ─▶ windows of one person ─▶ Person::fit, with the prior of others ─▶ findings? ─▶ people/NAME/person.toml
+//! cues (guided) ─▶ recordings ─▶ windows of one person ─▶ Person::fit, with the prior of others ─▶ findings? ─▶ people/NAME/person.toml
 //! ```
 
+mod check;
+mod guided;
+mod round;
+
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{anyhow, ensure};
 use clap::Args;
 use serde::Serialize;
-use tendon_dataset::{Recording, list};
+use tendon_config::Config;
+use tendon_dataset::{DatasetSettings, Recording, list};
 use tendon_evaluation::{PersonWindows, prior_without};
-use tendon_features::{Cohort, LaggedLogCovariance, MethodSettings, Prior};
+use tendon_features::{LaggedLogCovariance, MethodSettings, Prior};
 use tendon_gesture::Gesture;
-use tendon_output::{check_distinct, collect};
+use tendon_output::{OutputFile, check_distinct, collect};
 use tendon_people::{ChannelQuality, Expected, GestureFit, HeldOut, Made, People, Person, PersonName};
 use tendon_provenance::Provenance;
+use tendon_recordings::RecordedSession;
 
 use crate::Failure;
 use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{checked, left_out, print};
-use crate::personal::{calibration_settings, personal_windows, shipped_prior};
+use crate::personal::{calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
+
+use check::CheckScores;
+
+/// Channels of recordings where nobody says which.
+const DEFAULT_CHANNELS: [usize; 4] = [0, 3, 5, 8];
 
 /// Command line of `tendon calibrate`.
 #[derive(Debug, Args)]
@@ -31,26 +42,30 @@ pub struct Options {
     /// Name of the person, by which `tendon run --person` finds them: 1 to 40 of the characters a-z 0-9 - _. A pseudonym is
     /// enough.
     name: PersonName,
-    /// Recordings with cues, in any layout that `tendon evaluate` reads.
-    #[arg(long, required = true, num_args = 1.., value_name = "PATH")]
+    #[command(flatten)]
+    guided: guided::GuidedOptions,
+    /// Instead of recording now, take recordings with cues, in any layout that `tendon evaluate` reads.
+    #[arg(long, num_args = 1.., value_name = "PATH")]
     from: Vec<PathBuf>,
     /// Number of the person in the recordings, where they are of several people.
-    #[arg(long, value_name = "P")]
+    #[arg(long, value_name = "P", requires = "from")]
     person_number: Option<u16>,
     /// Only this session of the recordings, such as `train` of 3DC [default: all].
-    #[arg(long, value_name = "SESSION")]
+    #[arg(long, value_name = "SESSION", requires = "from")]
     session: Option<String>,
-    /// Only the first N repetitions of each gesture [default: all].
+    /// How often each gesture is asked for [default: 1]; with --from, only the first N repetitions [default: all].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     repetitions: Option<u32>,
-    /// Only these gestures; rest is always one of them [default: all].
+    /// The gestures, of any names, besides rest [default: those of the configuration; with --from, all that were
+    /// recorded].
     #[arg(long, value_name = "GESTURE,…", value_delimiter = ',')]
     gestures: Vec<Gesture>,
-    /// Channels of the recordings; a session with the person has them in this order.
-    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
+    /// Channels of the recordings; a session with the person has them in this order [default: 0,3,5,8; all that
+    /// `tendon calibrate` recorded].
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel, requires = "from")]
     channels: Vec<usize>,
     /// Sampling rate of recordings that do not state it, Hz.
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", requires = "from")]
     recording_rate_hz: Option<f64>,
     #[command(flatten)]
     base: Base,
@@ -74,6 +89,8 @@ struct Learnt<'a> {
     channels: &'a [ChannelQuality],
     findings: Vec<String>,
     skipped: &'a [String],
+    /// How the check round was recognised; `null` without one.
+    check: Option<&'a CheckScores>,
     provenance: Provenance,
 }
 
@@ -84,28 +101,37 @@ pub fn calibrate(options: &Options) -> Result<(), Failure> {
     check_distinct(&json, [], inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
     let people = People::open().map_err(Failure::input)?;
+    if options.from.is_empty() {
+        return guided::calibrate(options, &people, json.as_ref(), begun);
+    }
     if !options.replace {
         people.check_new(&options.name).map_err(Failure::input)?;
     }
     let begun = begun.with_recording(&options.from).map_err(Failure::input)?;
-    let shipped = shipped_prior().map_err(Failure::input)?;
-    let fitted = fit(options, shipped.as_ref(), &begun).map_err(Failure::input)?;
-    let serious: Vec<String> = fitted
-        .person
-        .findings
-        .iter()
-        .filter(|finding| finding.is_serious())
-        .map(ToString::to_string)
-        .collect();
-    if !serious.is_empty() {
+    let config = options.base.configuration_of("tendon calibrate --from", &WINDOW_KEYS);
+    let config = config.map_err(Failure::input)?;
+    let selection =
+        Selection { paths: &options.from, repetitions: options.repetitions, gestures: &options.gestures };
+    let fitted = fit(options, &config, &selection, &[], &begun).map_err(Failure::input)?;
+    if let Some(serious) = fitted.serious() {
         return Err(Failure::input(anyhow!(
-            "{} is not kept: {}. Or leave out what is wrong with --gestures or --channels",
-            options.name,
-            serious.join("; ")
+            "{} is not kept: {serious}. Or leave out what is wrong with --gestures or --channels",
+            options.name
         )));
     }
     let file = people.replace(&fitted.person).map_err(Failure::running)?;
-    let Fitted { person, fit_s, skipped } = &fitted;
+    report(&fitted, &file, None, begun, json.as_ref())
+}
+
+/// Says what was learnt.
+fn report(
+    fitted: &Fitted,
+    file: &Path,
+    check: Option<&CheckScores>,
+    begun: Provenance,
+    json: Option<&OutputFile>,
+) -> Result<(), Failure> {
+    let Fitted { person, fit_s, skipped } = fitted;
     let learnt = Learnt {
         person: &person.name,
         file: file.display().to_string(),
@@ -116,6 +142,7 @@ pub fn calibrate(options: &Options) -> Result<(), Failure> {
         channels: &person.channels,
         findings: person.findings.iter().map(ToString::to_string).collect(),
         skipped,
+        check,
         provenance: begun,
     };
     let written = collect(json.iter().map(|json| json.write_json(&learnt))).map_err(Failure::running);
@@ -128,19 +155,59 @@ struct Fitted {
     skipped: Vec<String>,
 }
 
-/// Fits the person to the recordings, with the prior of others where it fits.
-fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyhow::Result<Fitted> {
-    let config = options.base.configuration_of("tendon calibrate", &WINDOW_KEYS)?;
-    let config = personal_windows(config, &options.base);
-    let settings = calibration_settings(&config, &options.channels, options.recording_rate_hz);
-    let found = list(&settings, &options.from)?;
+impl Fitted {
+    /// What keeps the person from being used, in words.
+    fn serious(&self) -> Option<String> {
+        let serious = self.person.findings.iter().filter(|finding| finding.is_serious());
+        let serious: Vec<String> = serious.map(ToString::to_string).collect();
+        (!serious.is_empty()).then(|| serious.join("; "))
+    }
+}
+
+/// The part of recordings that a person is fitted to.
+struct Selection<'a> {
+    paths: &'a [PathBuf],
+    /// Only the first ones of each gesture; `None` for all.
+    repetitions: Option<u32>,
+    /// Only these and rest; none for all.
+    gestures: &'a [Gesture],
+}
+
+/// How recordings are cut: as a calibration of ours describes its own, or as the options say.
+fn settings_of(
+    options: &Options,
+    config: &Config,
+    paths: &[PathBuf],
+) -> anyhow::Result<(DatasetSettings, Option<RecordedSession>)> {
+    let recorded = paths.first().map_or(Ok(None), |path| RecordedSession::read(path))?;
+    let Some(recorded) = recorded.filter(|_| options.channels.is_empty()) else {
+        let channels = if options.channels.is_empty() { &DEFAULT_CHANNELS } else { &options.channels[..] };
+        return Ok((calibration_settings(config, channels, options.recording_rate_hz), None));
+    };
+    Ok((recorded_settings(config, &recorded), Some(recorded)))
+}
+
+/// Fits the person to the recordings, with the prior of others where it fits. `clipped_shares` are those of the channels, as
+/// far as somebody watched.
+fn fit(
+    options: &Options,
+    config: &Config,
+    selection: &Selection<'_>,
+    clipped_shares: &[f64],
+    begun: &Provenance,
+) -> anyhow::Result<Fitted> {
+    let shipped = shipped_prior()?;
+    let config = personal_windows(config.clone(), &options.base);
+    let (settings, recorded) = settings_of(options, &config, selection.paths)?;
+    let found = list(&settings, selection.paths)?;
     let recordings = of_one_person(options, found.recordings)?;
     let number = recordings[0].person;
     let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
     let windows = PersonWindows::read(&settings, &recordings, &mut skipped);
-    let chosen = windows.chosen(options.session.as_deref(), options.repetitions);
+    let chosen = windows.chosen(options.session.as_deref(), selection.repetitions);
     let is_wanted = |gesture: Gesture| {
-        options.gestures.is_empty() || gesture == Gesture::REST || options.gestures.contains(&gesture)
+        let wanted = selection.gestures;
+        wanted.is_empty() || gesture == Gesture::REST || wanted.contains(&gesture)
     };
     let chosen: Vec<usize> =
         chosen.into_iter().filter(|&window| is_wanted(windows.origins()[window].gesture)).collect();
@@ -149,21 +216,27 @@ fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyho
         "no recording holds a window that can be used: {}",
         skipped.first().map_or("there are none with a cue", String::as_str)
     );
-    for gesture in &options.gestures {
+    for gesture in selection.gestures {
         let is_there = chosen.iter().any(|&window| windows.origins()[window].gesture == *gesture);
         ensure!(is_there, "--gestures {gesture}: the recordings hold no window of it");
     }
     let method = MethodSettings::default();
     let features = LaggedLogCovariance::new(&method, settings.channels.len(), settings.sample_rate_hz, 1.0)?;
     let prior: Option<Prior> = match shipped.filter(|cohort| cohort.layout().fits(&features).is_ok()) {
-        Some(cohort) => prior_without(cohort, found.layout, number)?,
+        // A simulated person must not be known to the prior either.
+        Some(cohort) => match recorded.as_ref().and_then(|recorded| recorded.simulated.as_ref()) {
+            Some(from) => {
+                cohort.prior(|member| (&member.data_set, member.number) != (&from.data_set, from.number))?
+            }
+            None => prior_without(&cohort, found.layout, number)?,
+        },
         None => None,
     };
     let made = Made {
         at: begun.started_at.clone(),
         version: begun.version.clone(),
         commit: begun.commit.clone(),
-        from: format!("recordings: {}", listed(&options.from)),
+        from: format!("recordings: {}", listed(selection.paths)),
         recordings_sha256: begun
             .recording
             .as_ref()
@@ -171,7 +244,9 @@ fn fit(options: &Options, shipped: Option<&Cohort>, begun: &Provenance) -> anyho
         prior_people: Vec::new(),
     };
     let start = Instant::now();
-    let person = windows.fit(&chosen, options.name.clone(), made, &method, prior.as_ref())?;
+    let mut person =
+        windows.fit(&chosen, options.name.clone(), made, &method, prior.as_ref(), clipped_shares)?;
+    person.signal.unit = recorded.map_or_else(String::new, |recorded| recorded.unit);
     Ok(Fitted { person, fit_s: start.elapsed().as_secs_f64(), skipped })
 }
 
@@ -243,6 +318,15 @@ fn text(learnt: &Learnt, person: &Person) -> String {
     text += &channels(&person.channels);
     if !learnt.skipped.is_empty() {
         text += &format!("{}\n\n", left_out(learnt.skipped, "recordings or trials"));
+    }
+    if let Some(CheckScores { before_by, before, after, after_by_gesture }) = learnt.check {
+        let _ = write!(text, "check round: {:.1} % recognised", 100.0 * after);
+        if let (Some(by), Some(before)) = (before_by, before) {
+            let _ = write!(text, ", before the calibration {:.1} % ({by})", 100.0 * before);
+        }
+        let shares =
+            after_by_gesture.iter().map(|(gesture, share)| format!("{gesture} {:.0} %", 100.0 * share));
+        let _ = writeln!(text, "\n  {}\n", shares.collect::<Vec<_>>().join(", "));
     }
     for finding in &learnt.findings {
         text += &format!("- {finding}\n");

@@ -9,13 +9,18 @@ use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
 use tendon_gesture::{GestureSet, Strategy};
 use tendon_people::{People, Person, PersonName, SignalOffer};
-use tendon_recordings::Channel;
+use tendon_recordings::{Channel, RecordedSession};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
 
 use crate::options::Base;
 
 /// A movement counts from here on, ms after its cue: by then everybody has followed it.
 const MOVEMENT_BEGINS_MS: f64 = 1200.0;
+/// Where the onset of a gesture that `tendon calibrate` recorded is looked for, ms from the beginning of its trial, which is
+/// half a second before the cue.
+const RECORDED_ONSET_MS: [f64; 2] = [400.0, 1500.0];
+/// Where none is found, the movement counts from here on, ms.
+const RECORDED_FALLBACK_MS: f64 = 1000.0;
 /// Windows of a person where nobody asks for others, ms: long enough to be sure, short enough to be quick.
 const WINDOW_MS: f64 = 150.0;
 /// From one such window to the next, ms.
@@ -54,6 +59,19 @@ pub fn calibration_settings(
 ) -> DatasetSettings {
     let onset = DatasetSettings::default().onset;
     DatasetSettings { onset, ..dataset_settings(config, channels, recording_rate_hz) }
+}
+
+/// The same for what `tendon calibrate` recorded: all of its channels; a trial of a gesture begins half a second before its
+/// cue, and a rest is rest throughout.
+pub fn recorded_settings(config: &Config, recorded: &RecordedSession) -> DatasetSettings {
+    let settings = calibration_settings(config, &[], Some(recorded.sample_rate_hz));
+    DatasetSettings {
+        channels: recorded.channels.iter().cloned().map(Channel::Name).collect(),
+        onset: OnsetSettings { search_ms: RECORDED_ONSET_MS, ..settings.onset.clone() },
+        fallback_ms: RECORDED_FALLBACK_MS,
+        rest_start_ms: 0.0,
+        ..settings
+    }
 }
 
 /// The configuration with a person's windows, unless others are asked for.

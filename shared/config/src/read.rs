@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use tendon_emg_simulation::Profile;
+
 use crate::{Config, ConfigError};
 
 impl Config {
@@ -22,11 +24,12 @@ impl Config {
         Ok(config)
     }
 
-    /// Every file that the configuration names.
+    /// Every file that the configuration names. A profile that comes with Tendon is none.
     pub fn files_mut(&mut self) -> impl Iterator<Item = &mut PathBuf> {
+        let is_file = |profile: &&mut PathBuf| !profile.to_str().is_some_and(Profile::is_stranger);
+        let profile = self.acquisition.simulate.profile.as_mut().filter(is_file);
         [
             &mut self.acquisition.program,
-            &mut self.acquisition.simulate.profile,
             &mut self.acquisition.replay.path,
             &mut self.inference.model,
             &mut self.inference.rest_move_model,
@@ -35,6 +38,7 @@ impl Config {
         ]
         .into_iter()
         .flatten()
+        .chain(profile)
     }
 
     /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`.

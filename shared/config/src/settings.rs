@@ -134,7 +134,8 @@ pub struct SimulateSettings {
     pub script: String,
     /// The same seed gives the same samples.
     pub seed: u64,
-    /// A profile made by `tendon profile fit`; without one, the profile that comes with Tendon.
+    /// A profile made by `tendon profile fit`, or the name of one that comes with Tendon, such as `stranger-19`; without
+    /// one, somebody whom the shipped models know.
     pub profile: Option<PathBuf>,
     /// From rest to full contraction, ms.
     pub rise_ms: f64,
@@ -385,6 +386,21 @@ impl SimulateSettings {
     pub fn contraction(&self) -> ContractionSettings {
         ContractionSettings { rise_ms: self.rise_ms, fall_ms: self.fall_ms }
     }
+
+    /// The profile of the simulated person.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::ReadProfile`] and [`ConfigError::Profile`].
+    pub fn read_profile(&self) -> Result<Profile, ConfigError> {
+        let Some(path) = &self.profile else { return Ok(Profile::default()) };
+        if let Some(stranger) = path.to_str().and_then(Profile::of_stranger) {
+            return Ok(stranger);
+        }
+        let text = tendon_input::read_text(path, tendon_input::LARGEST_SETTINGS)
+            .map_err(|source| ConfigError::ReadProfile { path: path.clone(), source })?;
+        Profile::from_toml(&text).map_err(|source| ConfigError::Profile { path: path.clone(), source })
+    }
 }
 
 impl AcquisitionSettings {
@@ -394,15 +410,7 @@ impl AcquisitionSettings {
     ///
     /// [`ConfigError::ReadProfile`], [`ConfigError::Profile`] and [`ConfigError::Simulation`].
     pub fn open_simulation(&self) -> Result<(SimulatedEmg, String), ConfigError> {
-        let profile = match &self.simulate.profile {
-            None => Profile::default(),
-            Some(path) => {
-                let text = tendon_input::read_text(path, tendon_input::LARGEST_SETTINGS)
-                    .map_err(|source| ConfigError::ReadProfile { path: path.clone(), source })?;
-                Profile::from_toml(&text)
-                    .map_err(|source| ConfigError::Profile { path: path.clone(), source })?
-            }
-        };
+        let profile = self.simulate.read_profile()?;
         let settings = self.simulate.simulation(self.channels, self.sample_rate_hz);
         let emg = SimulatedEmg::new(&profile, &settings)?;
         Ok((emg, profile.source))

@@ -9,7 +9,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use tendon_recordings::labels::{self, LabelledFile, is_table};
-use tendon_recordings::{RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
+use tendon_recordings::{RecordedSession, RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
 
 use crate::recording::{Content, Recording};
 use crate::settings::DatasetSettings;
@@ -109,13 +109,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
             check_filtered(settings, &candidates)?;
             trial_recordings(&candidates)?
         }
-        Layout::Labelled => {
-            if settings.recording_rate_hz.is_none() {
-                let labels = candidates[0].join(labels::FILE_NAME);
-                return Err(ListingError::NoRate { labels });
-            }
-            labelled_recordings(&candidates, &mut skipped)?
-        }
+        Layout::Labelled => labelled_recordings(settings, &candidates, &mut skipped)?,
     };
     if recordings.is_empty() {
         let first_reason = skipped.first().map_or("they hold no trials".to_owned(), ToString::to_string);
@@ -328,24 +322,30 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
 }
 
 fn labelled_recordings(
+    settings: &DatasetSettings,
     folders: &[PathBuf],
     skipped: &mut Vec<SkippedEntry>,
 ) -> Result<Vec<Recording>, ListingError> {
-    let mut files: Vec<LabelledFile> = Vec::new();
+    let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
+        let recorded = RecordedSession::read(folder)?;
+        let default_hz = recorded.map(|session| session.sample_rate_hz);
+        if settings.recording_rate_hz.or(default_hz).is_none() {
+            return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
+        }
         for file in labels::read(folder, skipped)? {
             let real = fs::canonicalize(&file.path).unwrap_or_else(|_| file.path.clone());
             if let Some(first) = folder_of_file.insert(real, folder) {
                 let what = file.path.display().to_string();
                 return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
             }
-            files.push(file);
+            files.push((file, default_hz));
         }
     }
     // Of each person the sessions, in the order in which they are named, and how many repetitions a session has.
     let mut sessions: BTreeMap<u16, (Vec<String>, u32)> = BTreeMap::new();
-    for file in &files {
+    for (file, _) in &files {
         let (names, repetitions) = sessions.entry(file.person).or_default();
         if !names.contains(&file.session) {
             names.push(file.session.clone());
@@ -353,7 +353,7 @@ fn labelled_recordings(
         *repetitions = (*repetitions).max(file.last_repetition() + 1);
     }
     let mut recordings = Vec::new();
-    for LabelledFile { path, person, session, segments } in files {
+    for (LabelledFile { path, person, session, segments }, default_hz) in files {
         let (names, repetitions) = &sessions[&person];
         if names.len() as u32 * repetitions > u32::from(u8::MAX) + 1 {
             return Err(ListingError::TooManyRepetitions { person });
@@ -364,7 +364,7 @@ fn labelled_recordings(
             person,
             session,
             repetitions_before: place * repetitions,
-            content: Content::Table { segments, default_hz: None },
+            content: Content::Table { segments, default_hz },
         });
     }
     Ok(recordings)

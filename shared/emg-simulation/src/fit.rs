@@ -121,7 +121,8 @@ pub fn fit(segments: &[Segment<'_>], settings: &FitSettings) -> Result<Profile, 
             spectra.finish(gesture, &frequencies_hz).ok_or(FitError::NoSignal { gesture })
         })
         .collect::<Result<_, _>>()?;
-    Ok(Profile { source: settings.source.clone(), unit: settings.unit.clone(), frequencies_hz, gestures })
+    let FitSettings { source, unit, .. } = settings.clone();
+    Ok(Profile { source, unit, data_set: None, number: None, frequencies_hz, gestures })
 }
 
 /// Sums over the frames of one gesture.

@@ -8,6 +8,13 @@ use tendon_spectrum::Complex;
 /// A small file in the crate: `profiles/default.toml`.
 const DEFAULT_PROFILE: &str = include_str!("../profiles/default.toml");
 
+/// People whom the networks that come with Tendon were not trained on, by name.
+const STRANGERS: [(&str, &str); 3] = [
+    ("stranger-19", include_str!("../profiles/stranger-19.toml")),
+    ("stranger-20", include_str!("../profiles/stranger-20.toml")),
+    ("stranger-22", include_str!("../profiles/stranger-22.toml")),
+];
+
 /// The muscle signals of one person, rest included. Read from and written to TOML.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -16,6 +23,12 @@ pub struct Profile {
     pub source: String,
     /// The unit of the samples, such as `adc_counts`.
     pub unit: String,
+    /// The data set that these recordings are of, such as `3DC`; `None` for recordings of your own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data_set: Option<String>,
+    /// Number of the person there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub number: Option<u16>,
     /// The frequencies, ascending, at which spectra and coherencies are given. Between them both are
     /// interpolated linearly; below the first and above the last there is no signal.
     pub frequencies_hz: Vec<f64>,
@@ -119,6 +132,17 @@ impl Default for Profile {
 }
 
 impl Profile {
+    /// A profile that comes with the crate, by its name: `stranger-19`, `stranger-20` or `stranger-22`.
+    pub fn of_stranger(name: &str) -> Option<Profile> {
+        let (_, text) = STRANGERS.into_iter().find(|(own, _)| *own == name)?;
+        Some(Profile::from_toml(text).expect("a unit test reads the profiles that come with the crate"))
+    }
+
+    /// Whether a profile of this name comes with the crate.
+    pub fn is_stranger(name: &str) -> bool {
+        STRANGERS.iter().any(|(own, _)| *own == name)
+    }
+
     /// Reads and checks a profile.
     ///
     /// # Errors
@@ -262,6 +286,19 @@ mod tests {
         assert_eq!(profile.channels(), 4);
         assert_eq!(profile.unit, "adc_counts");
         assert!(DEFAULT_PROFILE.len() < 30_000, "{} bytes", DEFAULT_PROFILE.len());
+    }
+
+    #[test]
+    fn strangers_are_read_by_name_and_differ() {
+        for (name, text) in STRANGERS {
+            let profile = Profile::of_stranger(name).unwrap();
+            assert_eq!(profile.channels(), 4);
+            assert_eq!(format!("stranger-{}", profile.number.unwrap()), name);
+            assert_eq!(profile.data_set.as_deref(), Some("3DC"));
+            assert!(Profile::is_stranger(name) && profile != Profile::default());
+            assert!(text.len() < 30_000, "{} bytes", text.len());
+        }
+        assert_eq!(Profile::of_stranger("stranger-1"), None);
     }
 
     #[test]

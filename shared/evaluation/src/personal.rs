@@ -266,7 +266,7 @@ impl Scored {
         let calibrating = windows.chosen(first, Some(settings.repetitions));
         let name: PersonName = format!("person-{number}").parse().expect("letters, a dash and a number");
         let begun = Instant::now();
-        let person = windows.fit(&calibrating, name, Made::default(), &settings.method, prior)?;
+        let person = windows.fit(&calibrating, name, Made::default(), &settings.method, prior, &[])?;
         self.longest_fit_s = self.longest_fit_s.max(begun.elapsed().as_secs_f64());
         let others = prior.map_or(0, |prior| prior.people().len());
         self.fewest_others = Some(self.fewest_others.map_or(others, |fewest| fewest.min(others)));

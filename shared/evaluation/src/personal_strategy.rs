@@ -82,7 +82,7 @@ pub fn calibrate_person(
     let prior = prior_without(cohort, layout, number)?;
     let name: PersonName = format!("person-{number}").parse().expect("letters, a dash and a number");
     windows
-        .fit(&calibrates, name, Made::default(), method, prior.as_ref())
+        .fit(&calibrates, name, Made::default(), method, prior.as_ref(), &[])
         .map_err(|problem| PersonalStrategyError::Calibration { person: number, problem })
 }
 

@@ -128,7 +128,7 @@ impl PersonWindows {
         (0..self.origins.len()).filter(calibrates).collect()
     }
 
-    /// Fits a person to some of the windows.
+    /// Fits a person to some of the windows. `clipped_shares` are those of the channels, empty if nobody watched.
     ///
     /// # Errors
     ///
@@ -140,6 +140,7 @@ impl PersonWindows {
         made: Made,
         method: &MethodSettings,
         prior: Option<&Prior>,
+        clipped_shares: &[f64],
     ) -> Result<Person, CalibrationError> {
         let chosen = || windows.iter().map(|&window| self.origins[window]);
         let gestures = gestures(chosen());
@@ -154,7 +155,7 @@ impl PersonWindows {
             labels: &labels,
             repetitions: &repetitions,
             is_entry: &is_entry,
-            clipped_shares: &[],
+            clipped_shares,
         };
         Person::fit(name, made, &calibration, method, prior)
     }

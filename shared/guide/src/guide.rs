@@ -1,13 +1,12 @@
 //! What is asked of a person, trial after trial.
 //!
 //! ```text
-//! rest ──────│ pause    3 2 1│ extension: light ╱ firm ╲ light │ pause    3 2 1│ flexion …
-//! span: rest │   span: rest  │      └── span: extension ───────┘
-//!                              reaction
+//! rest ───────│ pause      3 2 1│ extension: light ╱ firm ╲ light │ pause      3 2 1│ flexion …
+//!  span: rest │   span: rest │ ── span: extension ────────────────┘
 //! ```
 //!
-//! A span is what a trial leaves for the labels: without the time in which the person reacts to the cue, and between
-//! gestures without that in which the muscles relax and tense.
+//! A span is what a trial leaves for the labels. That of a gesture begins shortly before its cue, so that the onset of the
+//! movement can be found in it. A rest between gestures begins when the muscles are relaxed.
 
 use std::collections::VecDeque;
 
@@ -15,12 +14,12 @@ use tendon_gesture::Gesture;
 
 use crate::settings::GuideSettings;
 
-/// Of a gesture, so long after its cue nobody can have failed to begin, s; at most a quarter of the time it is held.
-const REACTION_S: f64 = 0.5;
+/// So long after it was asked for, a rest is one, s; at most a quarter of its time.
+const SETTLED_S: f64 = 0.5;
+/// So long before its cue the span of a gesture begins, s.
+const BEFORE_CUE_S: f64 = 0.5;
 /// So long after a gesture the muscles are at rest, s.
 const RELAXED_S: f64 = 1.2;
-/// So long before a gesture they may begin to tense, s.
-const TENSE_S: f64 = 0.4;
 /// Shortest rest between gestures that is worth a label, s.
 const SHORTEST_REST_S: f64 = 0.5;
 /// Seconds that are counted down.
@@ -142,6 +141,11 @@ impl Guide {
         }
     }
 
+    /// Nothing more is asked until [`Guide::go_on`].
+    pub fn wait(&mut self) {
+        self.phase = Phase::Waiting;
+    }
+
     /// The trial that is asked for now, or ended last, is to be done once more; waits for [`Guide::go_on`]. Returns it;
     /// what was labelled of it does not count any more. `None` before there is one.
     pub fn redo(&mut self) -> Option<Trial> {
@@ -174,8 +178,11 @@ impl Guide {
                 self.to_do.pop_front();
                 self.last_done = Some(trial);
                 self.begin(end);
-                let reaction_s = REACTION_S.min(0.25 * self.hold_s(trial));
-                let start_sample = start + self.samples(reaction_s);
+                let start_sample = if trial.gesture == Gesture::REST {
+                    start + self.samples(SETTLED_S.min(0.25 * self.hold_s(trial)))
+                } else {
+                    start.saturating_sub(self.samples(BEFORE_CUE_S))
+                };
                 Some(Span { trial, ends_trial: true, start_sample, end_sample: end })
             }
             _ => None,
@@ -214,20 +221,18 @@ impl Guide {
     }
 
     fn begin(&mut self, start: u64) {
-        if let Some(&trial) = self.to_do.front() {
-            let pause = self.samples(self.pause_s(trial));
-            self.phase = if pause == 0 {
-                Phase::Hold { start, end: start + self.samples(self.hold_s(trial)) }
-            } else {
-                Phase::Pause { start, end: start + pause }
-            };
-        }
+        let pause_s = self.to_do.front().map(|&trial| (trial, self.pause_s(trial)));
+        self.phase = match pause_s {
+            None => Phase::Waiting,
+            Some((trial, 0.0)) => Phase::Hold { start, end: start + self.samples(self.hold_s(trial)) },
+            Some((_, pause_s)) => Phase::Pause { start, end: start + self.samples(pause_s) },
+        };
     }
 
     /// The rest of a pause before `trial`, if it is long enough.
     fn rest_between(&self, trial: Trial, start: u64, end: u64) -> Option<Span> {
-        let (start_sample, tense) = (start + self.samples(RELAXED_S), self.samples(TENSE_S));
-        let end_sample = end.saturating_sub(tense);
+        let start_sample = start + self.samples(RELAXED_S);
+        let end_sample = end.saturating_sub(self.samples(BEFORE_CUE_S));
         let trial = Trial { gesture: Gesture::REST, repetition: trial.repetition };
         (end_sample >= start_sample + self.samples(SHORTEST_REST_S)).then_some(Span {
             trial,
@@ -293,8 +298,8 @@ mod tests {
         assert_eq!(trials, [(rest, 0), (grip, 0), (ulnar, 0), (grip, 1), (ulnar, 1)]);
         let span = |number: usize| (spans[number].start_sample, spans[number].end_sample);
         assert_eq!(span(0), (500, 5000));
-        assert_eq!((spans[1].trial.gesture, span(1)), (rest, (6200, 8600)));
-        assert_eq!((spans[2].trial.gesture, span(2)), (grip, (9500, 14_000)));
+        assert_eq!((spans[1].trial.gesture, span(1)), (rest, (6200, 8500)));
+        assert_eq!((spans[2].trial.gesture, span(2)), (grip, (8500, 14_000)));
     }
 
     #[test]
@@ -354,6 +359,9 @@ mod tests {
         assert_eq!(guide.redo(), Some(grip), "in the pause after it");
         let (spans, _) = follow(&mut guide, 70_000, 10);
         assert_eq!(spans.iter().filter(|span| span.ends_trial).count(), 4);
+        assert!(guide.is_over());
+        assert_eq!(guide.redo().map(|trial| trial.repetition), Some(1), "the very last one, too");
+        assert!(!guide.is_over());
     }
 
     proptest! {

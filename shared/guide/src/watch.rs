@@ -207,6 +207,11 @@ impl SignalWatch {
         }
     }
 
+    /// Of each channel, the share of all samples so far that was clipped.
+    pub fn clipped_shares(&self) -> Vec<f64> {
+        self.channels.iter().map(|channel| channel.clipping.clipped_share()).collect()
+    }
+
     /// The next rest is measured anew, as after the electrodes were touched.
     pub fn forget_rest(&mut self) {
         self.rest_rms = None;

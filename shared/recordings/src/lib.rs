@@ -33,7 +33,7 @@ pub mod three_dc;
 
 pub use check::{CueSpan, Summary, check};
 pub use error::RecordingError;
-pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError};
+pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, SimulatedFrom};
 pub use replay::{ReplayBlock, ReplayStream};
 pub use segment::{Notice, Segment, SkippedEntry};
 pub use source::{Frame, RecordingSettings, RecordingSource};

@@ -52,8 +52,21 @@ pub struct RecordedSession {
     pub program_version: String,
     /// The commit it was built from.
     pub commit: String,
+    /// Whose recordings a simulated person was fitted to; `None` for a real one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulated: Option<SimulatedFrom>,
     /// The filter of the session. The samples are as acquired, before any filter.
     pub filter: FilterSettings,
+}
+
+/// Somebody of a data set.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedFrom {
+    /// The data set, such as `3DC`.
+    pub data_set: String,
+    /// The person's number there.
+    pub number: u16,
 }
 
 /// Why a recording cannot be written, or read back.
@@ -94,6 +107,7 @@ impl RecordedSession {
             source: String::new(),
             program_version: String::new(),
             commit: String::new(),
+            simulated: None,
             filter: FilterSettings::default(),
         }
     }
@@ -145,6 +159,10 @@ pub struct RecordedTrial {
 pub struct Recorder {
     folder: PrivateFolder,
     session: RecordedSession,
+    /// Files that were there before.
+    earlier_files: usize,
+    /// Lines of the labels that were there before, with their gesture.
+    earlier_labels: Vec<(Gesture, String)>,
     files: Vec<Part>,
     file: Option<File>,
     /// Lines that are not written yet, whole ones only.
@@ -169,8 +187,62 @@ impl Recorder {
         let folder = PrivateFolder::open(folder)?;
         let text = toml::to_string(&session).expect("names and numbers: nothing that TOML cannot say");
         folder.write(SESSION_FILE, text.as_bytes())?;
-        let (files, lines, trials) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Recorder { folder, session, files, file: None, lines, trials })
+        Ok(Recorder::of(folder, session))
+    }
+
+    /// Adds to the recording in `folder`: new files, and labels beside those that are there.
+    ///
+    /// # Errors
+    ///
+    /// [`RecorderError`] if there is none, or its labels cannot be read.
+    pub fn resume(folder: &Path) -> Result<Recorder, RecorderError> {
+        let wrong = |path: PathBuf, reason: String| RecorderError::Session { path, reason };
+        let session = RecordedSession::read(folder)?;
+        let session =
+            session.ok_or_else(|| wrong(folder.join(SESSION_FILE), "there is no such file".to_owned()))?;
+        let mut recorder = Recorder::of(PrivateFolder::open_existing(folder)?, session);
+        while folder.join(part_name(recorder.earlier_files + 1)).exists() {
+            recorder.earlier_files += 1;
+        }
+        let labels = folder.join(FILE_NAME);
+        let bytes = recorder.folder.read(FILE_NAME)?.unwrap_or_default();
+        let text = String::from_utf8(bytes).map_err(|error| wrong(labels.clone(), error.to_string()))?;
+        let place = COLUMNS.iter().position(|column| *column == "gesture").unwrap_or(0);
+        for line in text.lines().skip(1) {
+            let gesture = line.split(',').nth(place).and_then(|name| name.parse().ok());
+            let gesture = gesture
+                .ok_or_else(|| wrong(labels.clone(), format!("the line `{line}` names no gesture")))?;
+            recorder.earlier_labels.push((gesture, line.to_owned()));
+        }
+        Ok(recorder)
+    }
+
+    fn of(folder: PrivateFolder, session: RecordedSession) -> Recorder {
+        Recorder {
+            folder,
+            session,
+            earlier_files: 0,
+            earlier_labels: Vec::new(),
+            files: Vec::new(),
+            file: None,
+            lines: Vec::new(),
+            trials: Vec::new(),
+        }
+    }
+
+    /// What is recorded.
+    pub fn session(&self) -> &RecordedSession {
+        &self.session
+    }
+
+    /// Takes back the labels of a gesture that were there before. Its samples stay.
+    ///
+    /// # Errors
+    ///
+    /// [`RecorderError`] if the labels cannot be written.
+    pub fn forget_earlier(&mut self, gesture: Gesture) -> Result<(), RecorderError> {
+        self.earlier_labels.retain(|(other, _)| *other != gesture);
+        self.write_labels()
     }
 
     /// Where it is.
@@ -218,7 +290,7 @@ impl Recorder {
         let Some(file) = &mut self.file else { return Ok(()) };
         let written = file.write_all(&self.lines);
         self.lines.clear();
-        written.map_err(|source| RecorderError::Write { path: self.part_path(self.files.len()), source })
+        written.map_err(|source| RecorderError::Write { path: self.part_path(), source })
     }
 
     /// Labels a trial; `false` if samples of it are missing, and it is not labelled.
@@ -253,7 +325,7 @@ impl Recorder {
         &self.trials
     }
 
-    /// Number, from 1, of the file that holds all of a trial.
+    /// Number, from 1, of the new file that holds all of a trial.
     fn part_of(&self, trial: &RecordedTrial) -> Option<usize> {
         let holds =
             |part: &Part| part.first_sample <= trial.start_sample && trial.end_sample <= part.end_sample;
@@ -264,13 +336,16 @@ impl Recorder {
         // A label never names samples that are not there.
         self.flush()?;
         let mut text = COLUMNS.join(",") + "\n";
+        for (_, line) in &self.earlier_labels {
+            text += &format!("{line}\n");
+        }
         for trial in &self.trials {
             let Some(number) = self.part_of(trial) else { continue };
             let RecordedTrial { gesture, repetition, asked, start_sample, end_sample } = trial;
             let first = self.files[number - 1].first_sample;
             text += &format!(
                 "{},{PERSON},{},{repetition},{gesture},{},{},{asked}\n",
-                part_name(number),
+                part_name(self.earlier_files + number),
                 self.session.at,
                 start_sample - first,
                 end_sample - first
@@ -280,13 +355,14 @@ impl Recorder {
     }
 
     fn open_part(&self) -> Result<File, RecorderError> {
-        let path = self.part_path(self.files.len());
+        let path = self.part_path();
         let opened = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&path);
         opened.map_err(|source| RecorderError::Write { path, source })
     }
 
-    fn part_path(&self, number: usize) -> PathBuf {
-        self.folder().join(part_name(number))
+    /// The file that is written to.
+    fn part_path(&self) -> PathBuf {
+        self.folder().join(part_name(self.earlier_files + self.files.len()))
     }
 }
 
@@ -357,6 +433,31 @@ mod tests {
         let files = labels::read(place.path(), &mut Vec::new()).unwrap();
         assert_eq!(files.len(), 1);
         assert_eq!(read(place.path(), "emg-2.csv").len(), 10, "samples stay");
+    }
+
+    #[test]
+    fn a_gesture_is_recorded_once_more_beside_what_is_there() {
+        let place = tempfile::tempdir().unwrap();
+        let mut first = Recorder::create(place.path(), session()).unwrap();
+        first.push(0, &[1.0; 80]).unwrap();
+        for (gesture, start) in [(Gesture::REST, 0), (Gesture::GRIP, 10), (Gesture::ULNAR, 20)] {
+            assert!(first.label(trial(gesture, start, start + 5)).unwrap());
+        }
+        drop(first);
+        let mut second = Recorder::resume(place.path()).unwrap();
+        assert_eq!(second.session(), &session());
+        second.push(7000, &[2.0; 40]).unwrap();
+        assert!(second.label(trial(Gesture::GRIP, 7005, 7015)).unwrap());
+        second.forget_earlier(Gesture::GRIP).unwrap();
+        let files = labels::read(place.path(), &mut Vec::new()).unwrap();
+        let made = |file: usize| -> Vec<Gesture> {
+            files[file].segments.iter().filter_map(|segment| segment.cue).collect()
+        };
+        assert_eq!((made(0), made(1)), (vec![Gesture::REST, Gesture::ULNAR], vec![Gesture::GRIP]));
+        assert_eq!(read(place.path(), "emg-1.csv").len(), 40);
+        assert_eq!(read(place.path(), "emg-2.csv"), vec![vec![2.0; 2]; 20]);
+        let missing = Recorder::resume(&place.path().join("none")).unwrap_err().to_string();
+        assert!(missing.contains("there is no such file"), "{missing}");
     }
 
     #[test]

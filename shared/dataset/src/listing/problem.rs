@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use tendon_recordings::RecordingError;
 use tendon_recordings::labels::LabelsError;
+use tendon_recordings::{RecorderError, RecordingError};
 
 use super::Layout;
 
@@ -16,6 +16,9 @@ pub enum ListingError {
     /// Labels that cannot be used.
     #[error(transparent)]
     Labels(#[from] LabelsError),
+    /// A recording of our own whose description cannot be used.
+    #[error(transparent)]
+    Recorded(#[from] RecorderError),
     /// A path without recordings.
     #[error(
         "{}: no recordings found{hint}; give folders ParticipantP/train/EMG or ParticipantP/test/EMG (3DC), files \

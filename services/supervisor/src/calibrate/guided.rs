@@ -1,0 +1,304 @@
+//! `tendon calibrate NAME` without recordings: the person follows cues, and the source records.
+//!
+//! ```text
+//! options ─▶ claim the session ─▶ source alone ─▶ round of cues ─▶ people/NAME/recordings/WHEN ─▶ fit ─▶ check round
+//! ```
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, ensure};
+use clap::Args;
+use tendon_config::{Config, Gestures, Source};
+use tendon_gesture::Gesture;
+use tendon_guide::{Guide, GuideSettings};
+use tendon_output::OutputFile;
+use tendon_people::{People, PersonName};
+use tendon_provenance::Provenance;
+use tendon_recordings::{RecordedSession, Recorder, SimulatedFrom};
+use tendon_session::{AcquisitionWatch, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
+use tendon_transport::{Leftovers, SessionLock};
+
+use super::check::{self, CheckScores};
+use super::round::{Live, RoundEnd};
+use super::{Fitted, Selection, fit, report};
+use crate::options::duration;
+use crate::personal::personal_windows;
+use crate::{Failure, TERMINAL_TIMEOUT, checks};
+
+/// Folder of a person's recordings in that of the person.
+const RECORDINGS: &str = "recordings";
+/// What the keys do.
+const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
+
+/// What can be said of a guided calibration.
+#[derive(Debug, Args)]
+pub struct GuidedOptions {
+    /// Then ask for each gesture once more, and say how well it is recognised without the calibration and with it.
+    #[arg(long, conflicts_with = "from")]
+    check: bool,
+    /// Ask for this gesture alone, in place of what the newest recording has of it.
+    #[arg(long, value_name = "GESTURE", conflicts_with_all = ["from", "gestures"])]
+    redo: Option<Gesture>,
+    /// How long to rest at the beginning [default: 5s].
+    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
+    rest: Option<Duration>,
+    /// How long each gesture is held [default: 5s].
+    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
+    hold: Option<Duration>,
+    /// How long to rest before each gesture [default: 4s].
+    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
+    pause: Option<Duration>,
+}
+
+/// Guides a person through a calibration, fits and keeps them.
+pub fn calibrate(
+    options: &super::Options,
+    people: &People,
+    json: Option<&OutputFile>,
+    begun: Provenance,
+) -> Result<(), Failure> {
+    let name = &options.name;
+    let is_redo = options.guided.redo.is_some();
+    if !options.replace && !is_redo {
+        people.check_new(name).map_err(Failure::input)?;
+    }
+    let config = configuration(options).map_err(Failure::input)?;
+    let guide = guide_settings(options, &config).map_err(Failure::input)?;
+    let source = checks::source(&config).map_err(Failure::input)?;
+    let recorder = if is_redo {
+        Recorder::resume(&newest_recording(people, name).map_err(Failure::input)?)
+    } else {
+        let folder = recordings_of(people, name).join(file_name(&begun.started_at));
+        let session = recorded_session(name, &config, &source, &begun).map_err(Failure::input)?;
+        Recorder::create(&folder, session)
+    };
+    let recorder = recorder.map_err(Failure::input)?;
+    check_fits(&recorder, &config).map_err(Failure::input)?;
+    let errors = Writer::standard_error().map_err(Failure::running)?;
+    let calibration = Calibration { options, people, config: &config, guide, begun };
+    let channels = recorder.session().channels.clone();
+    let learnt = with_source(&config, &channels, &errors, |live| calibration.follow(live, recorder, &errors));
+    errors.end_live();
+    let _ = errors.finish(TERMINAL_TIMEOUT);
+    match learnt? {
+        Some(Learnt { fitted, file, check, begun }) => report(&fitted, &file, check.as_ref(), begun, json),
+        None => Ok(()),
+    }
+}
+
+/// A calibration that is under way.
+struct Calibration<'a> {
+    options: &'a super::Options,
+    people: &'a People,
+    config: &'a Config,
+    guide: GuideSettings,
+    begun: Provenance,
+}
+
+/// What came of it.
+struct Learnt {
+    fitted: Fitted,
+    file: PathBuf,
+    check: Option<CheckScores>,
+    begun: Provenance,
+}
+
+impl Calibration<'_> {
+    /// Cues, fit, check round. Gives nothing if somebody said stop.
+    fn follow(
+        self,
+        live: &mut Live<'_>,
+        mut recorder: Recorder,
+        errors: &Writer,
+    ) -> Result<Option<Learnt>, Failure> {
+        let Calibration { options, people, config, .. } = self;
+        let name = &options.name;
+        let folder = recorder.folder().to_owned();
+        let mut guide = Guide::new(self.guide.clone(), config.acquisition.sample_rate_hz);
+        let seconds = self.guide.duration_s();
+        errors.say(format!("calibration of {name}: {seconds:.0} s, recorded in {}", folder.display()));
+        if live.round(&mut guide, &mut recorder)? == RoundEnd::Stopped {
+            errors.say(stopped(name, &folder, !recorder.trials().is_empty()));
+            return Ok(None);
+        }
+        if let Some(gesture) = options.guided.redo {
+            recorder.forget_earlier(gesture).map_err(Failure::running)?;
+        }
+        drop(recorder);
+        let paths = [folder.clone()];
+        let begun = self.begun.with_recording(&paths).map_err(Failure::running)?;
+        let clipped_shares = live.clipped_shares();
+        let selection = Selection { paths: &paths, repetitions: None, gestures: &[] };
+        let fitted = live.meanwhile(|| fit(options, config, &selection, &clipped_shares, &begun))?;
+        let fitted = fitted
+            .with_context(|| format!("the recording stays in {}", folder.display()))
+            .map_err(Failure::running)?;
+        if let Some(serious) = fitted.serious() {
+            return Err(Failure::running(anyhow!(
+                "{name} is not kept: {serious}. The recording stays in {}: record one gesture again with `tendon calibrate \
+                 {name} --redo GESTURE`",
+                folder.display()
+            )));
+        }
+        let before = people.find(name).ok();
+        let file = people.replace(&fitted.person).map_err(Failure::running)?;
+        let check = if options.guided.check {
+            errors.say("check round: each gesture once more");
+            let round = check::CheckRound { config, guide: &self.guide, before: before.as_ref() };
+            round.run(live, &fitted.person, &folder, errors)?
+        } else {
+            None
+        };
+        Ok(Some(Learnt { fitted, file, check, begun }))
+    }
+}
+
+/// The configuration of the source, with a person's windows; a simulated person follows the cues.
+fn configuration(options: &super::Options) -> anyhow::Result<Config> {
+    let mut config = personal_windows(options.base.configuration()?, &options.base);
+    ensure!(
+        config.acquisition.source != Source::Replay,
+        "a recording cannot follow cues: calibrate with it by --from, or set acquisition.source to another source"
+    );
+    config.acquisition.simulate.gestures = Gestures::Keyboard;
+    Ok(config)
+}
+
+/// What is asked.
+fn guide_settings(options: &super::Options, config: &Config) -> anyhow::Result<GuideSettings> {
+    let default = GuideSettings::default();
+    let guided = &options.guided;
+    let gestures = match (guided.redo, &options.gestures[..]) {
+        (Some(gesture), _) => vec![gesture],
+        (None, []) => config.decision.gestures.iter().filter(|gesture| *gesture != Gesture::REST).collect(),
+        (None, gestures) => {
+            gestures.iter().copied().filter(|gesture| *gesture != Gesture::REST).collect::<Vec<_>>()
+        }
+    };
+    let seconds = |given: Option<Duration>, default_s| given.map_or(default_s, |given| given.as_secs_f64());
+    let settings = GuideSettings {
+        gestures,
+        repetitions: options.repetitions.unwrap_or(default.repetitions),
+        rest_s: seconds(guided.rest, default.rest_s),
+        hold_s: seconds(guided.hold, default.hold_s),
+        pause_s: seconds(guided.pause, default.pause_s),
+    };
+    settings.check()?;
+    if is_simulated(config) {
+        let (emg, _) = config.acquisition.open_simulation()?;
+        for gesture in &settings.gestures {
+            emg.gestures().find(gesture.name()).context("the simulated person cannot make it")?;
+        }
+    }
+    Ok(settings)
+}
+
+/// What is recorded.
+fn recorded_session(
+    name: &PersonName,
+    config: &Config,
+    source: &str,
+    begun: &Provenance,
+) -> anyhow::Result<RecordedSession> {
+    let acquisition = &config.acquisition;
+    // The source does not say what its channels are called; a table needs names that are no numbers.
+    let channels = (0..acquisition.channels).map(|channel| format!("channel_{channel}")).collect();
+    let mut session =
+        RecordedSession::new(name.as_str(), &begun.started_at, channels, acquisition.sample_rate_hz);
+    session.source = source.to_owned();
+    session.program_version = begun.version.clone();
+    session.commit = begun.commit.clone();
+    session.filter = config.dsp.filter.clone();
+    if is_simulated(config) {
+        let profile = acquisition.simulate.read_profile()?;
+        session.unit = profile.unit;
+        let of_data_set = profile.data_set.zip(profile.number);
+        session.simulated = of_data_set.map(|(data_set, number)| SimulatedFrom { data_set, number });
+    }
+    Ok(session)
+}
+
+/// Whether the source is the simulated person that comes with Tendon.
+fn is_simulated(config: &Config) -> bool {
+    config.acquisition.source == Source::Simulate && config.acquisition.program.is_none()
+}
+
+/// What is added to a recording must be of the same channels and rate.
+fn check_fits(recorder: &Recorder, config: &Config) -> anyhow::Result<()> {
+    let RecordedSession { channels, sample_rate_hz, .. } = recorder.session();
+    let acquisition = &config.acquisition;
+    ensure!(
+        channels.len() == acquisition.channels && *sample_rate_hz == acquisition.sample_rate_hz,
+        "{} holds {} channels at {sample_rate_hz} Hz, this session has {} at {} Hz: use the same configuration",
+        recorder.folder().display(),
+        channels.len(),
+        acquisition.channels,
+        acquisition.sample_rate_hz
+    );
+    Ok(())
+}
+
+fn recordings_of(people: &People, name: &PersonName) -> PathBuf {
+    people.folder_of(name).join(RECORDINGS)
+}
+
+/// A time as a file name.
+fn file_name(time: &str) -> String {
+    time.replace(':', "-")
+}
+
+/// The newest recording of a person. Their names sort by time.
+fn newest_recording(people: &People, name: &PersonName) -> anyhow::Result<PathBuf> {
+    let folder = recordings_of(people, name);
+    let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let recordings = entries.filter(|path| !check::is_check(path) && RecordedSession::read(path).is_ok());
+    recordings.max().ok_or_else(|| {
+        anyhow!("{name} has no recording in {}: calibrate first, without --redo", folder.display())
+    })
+}
+
+fn stopped(name: &PersonName, folder: &Path, has_trials: bool) -> String {
+    let folder = folder.display();
+    if has_trials {
+        format!("stopped: what was recorded is kept; to fit it: tendon calibrate {name} --from {folder}")
+    } else {
+        format!("stopped before the first gesture; what was recorded is in {folder}")
+    }
+}
+
+/// Starts the source, lets `work` follow it, and stops it. Gives nothing if somebody said stop before.
+fn with_source<T>(
+    config: &Config,
+    channels: &[String],
+    errors: &Writer,
+    work: impl FnOnce(&mut Live<'_>) -> Result<Option<T>, Failure>,
+) -> Result<Option<T>, Failure> {
+    let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
+    Leftovers::remove(&lock, &config.session);
+    let result = checks::shared_memory(config).map_err(Failure::input).and_then(|_| {
+        let robot = RobotLine::default();
+        let (sender, events) = channel();
+        stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
+        let has_keys = Keyboard::is_there();
+        let keyboard = has_keys.then(|| Keyboard::listen(&robot, &sender, Keys::Guide));
+        let _keyboard = keyboard.transpose().context("keys").map_err(Failure::input)?;
+        let mut acquisition =
+            AcquisitionWatch::start(config, &robot, (&sender, events), errors).map_err(Failure::input)?;
+        let ready = acquisition.wait_until_ready().map_err(|error| {
+            if error.is_input() { Failure::input(error) } else { Failure::running(error) }
+        })?;
+        let Some(ready) = ready else { return Ok(None) };
+        errors.say(ready.detail);
+        if has_keys {
+            errors.say(KEYS);
+        }
+        let mut live = Live::new(acquisition, config, channels, errors, has_keys)?;
+        let done = work(&mut live);
+        let stopped = live.stop();
+        done.and_then(|done| stopped.map(|()| done))
+    });
+    Leftovers::remove(&lock, &config.session);
+    result
+}

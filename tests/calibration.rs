@@ -1,0 +1,145 @@
+//! The story of a stranger, with nobody there: badly recognised, calibrated by cues, well recognised. And what goes wrong on
+//! the way.
+
+use std::path::{Path, PathBuf};
+
+use nix::sys::signal::Signal;
+use tendon_emg_simulation::Profile;
+use tendon_gesture::Gesture;
+use tendon_report::Report;
+use tendon_system_tests::{Ended, TendonBuilder, model, unique_session, wait_until};
+
+/// All gestures, with rest between.
+const SCRIPT: &str = "rest 2s, extension 1500ms, rest 1s, flexion 1500ms, rest 1s, ulnar 1500ms, rest 1s, radial 1500ms, \
+                      rest 1s, grip 1500ms, rest 1s";
+
+/// `tendon calibrate anna` of a simulated person, whom `people` keeps.
+fn calibrate(people: &Path, profile: &str, arguments: &[&str]) -> TendonBuilder {
+    let session = unique_session();
+    let named = format!("session=\"{session}\"");
+    let profile = format!("acquisition.simulate.profile={profile}");
+    TendonBuilder::command(&session, &["calibrate", "anna", "--set", &named, "--set", &profile])
+        .args(arguments)
+        .env("XDG_DATA_HOME", people)
+}
+
+fn run(people: &Path, recogniser: &[&str]) -> Report {
+    let session = unique_session();
+    TendonBuilder::command(&session, &["run", "--session", session.to_string().as_str()])
+        .args(&["--json", "report.json", "--duration", "14s", "--script", SCRIPT, "--seed", "7"])
+        .args(&["--set", "acquisition.simulate.profile=stranger-19"])
+        .args(recogniser)
+        .env("XDG_DATA_HOME", people)
+        .end()
+        .report()
+}
+
+/// The only recording of the person.
+fn recording(people: &Path) -> Option<PathBuf> {
+    let folder = people.join("tendon/people/anna/recordings");
+    std::fs::read_dir(folder).ok()?.next()?.ok().map(|entry| entry.path())
+}
+
+fn labels(people: &Path) -> String {
+    let labels = recording(people).map(|folder| folder.join("labels.csv"));
+    labels.and_then(|labels| std::fs::read_to_string(labels).ok()).unwrap_or_default()
+}
+
+fn assert_done(ended: &Ended) {
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+}
+
+#[test]
+fn a_stranger_is_recognised_badly_then_calibrated_then_recognised_well() {
+    let people = tempfile::tempdir().unwrap();
+    let before =
+        run(people.path(), &["--strategy", "direct", "--model", model("cnn-six-class").to_str().unwrap()]);
+    let share = |report: &Report| report.recognition.correct as f64 / report.recognition.windows as f64;
+    assert!(share(&before) < 0.8, "{:#?}", before.recognition);
+    let short = ["--rest", "3s", "--hold", "3s", "--pause", "2s"];
+    let calibrated = calibrate(people.path(), "stranger-19", &short).end();
+    assert_done(&calibrated);
+    for said in ["expected accuracy", "SNR, dB", "now: tendon run --person anna"] {
+        assert!(calibrated.output.contains(said), "{said}: {calibrated:#?}");
+    }
+    assert!(calibrated.errors.contains("ulnar: from light to firm and back"), "{calibrated:#?}");
+    // The prior must not know the person that is simulated.
+    assert!(calibrated.output.contains("what 14 other people have in common"), "{calibrated:#?}");
+    let after = run(people.path(), &["--person", "anna"]);
+    assert!(share(&after) >= 0.95, "{:#?}", after.recognition);
+    // The same name is not given twice by mistake.
+    calibrate(people.path(), "stranger-19", &[])
+        .end()
+        .assert_failed(2, &["there is a person `anna` already"]);
+}
+
+#[test]
+fn a_calibration_that_is_broken_off_loses_nothing_and_can_be_fitted() {
+    let people = tempfile::tempdir().unwrap();
+    let arguments = ["--rest", "2s", "--hold", "2s", "--pause", "1s"];
+    let tendon = calibrate(people.path(), "stranger-20", &arguments).start();
+    let made = [Gesture::REST, Gesture::EXTENSION, Gesture::FLEXION];
+    wait_until("two gestures", || {
+        let labels = labels(people.path());
+        made.iter().all(|gesture| labels.contains(gesture.name())).then_some(())
+    });
+    tendon.signal(Signal::SIGTERM);
+    let ended = tendon.end();
+    assert_done(&ended);
+    let folder = recording(people.path()).unwrap();
+    let remedy = format!("tendon calibrate anna --from {}", folder.display());
+    assert!(ended.errors.contains(&remedy), "{ended:#?}");
+    let session = unique_session();
+    let from = TendonBuilder::command(&session, &["calibrate", "anna", "--from"])
+        .arg(&folder)
+        .env("XDG_DATA_HOME", people.path())
+        .end();
+    assert_done(&from);
+    assert!(from.output.contains("anna: 3 gestures on channels channel_0"), "{from:#?}");
+    // A person may make one gesture again, which replaces what was recorded of it.
+    let redone =
+        calibrate(people.path(), "stranger-20", &["--redo", "flexion", "--rest", "2s", "--hold", "2s"]);
+    let redone = redone.end();
+    assert_done(&redone);
+    let labels = labels(people.path());
+    let files = |gesture: &str| -> Vec<&str> {
+        labels
+            .lines()
+            .filter(|line| line.contains(gesture))
+            .filter_map(|line| line.split(',').next())
+            .collect()
+    };
+    assert_eq!((files("extension"), files("flexion")), (vec!["emg-1.csv"], vec!["emg-2.csv"]), "{labels}");
+}
+
+#[test]
+fn a_gesture_that_is_not_made_is_noticed_and_the_person_is_not_kept() {
+    let people = tempfile::tempdir().unwrap();
+    let mut profile = Profile::default();
+    let rest = profile.gestures.iter().find(|entry| entry.gesture == Gesture::REST).unwrap().clone();
+    for entry in profile.gestures.iter_mut().filter(|entry| entry.gesture == Gesture::GRIP) {
+        *entry = tendon_emg_simulation::GestureProfile { gesture: Gesture::GRIP, ..rest.clone() };
+    }
+    let file = people.path().join("lame.toml");
+    std::fs::write(&file, profile.to_toml()).unwrap();
+    let arguments = ["--gestures", "extension,grip", "--rest", "2s", "--hold", "2s", "--pause", "1s"];
+    let ended = calibrate(people.path(), file.to_str().unwrap(), &arguments).end();
+    ended.assert_failed(1, &["anna is not kept", "grip looks like rest", "--redo GESTURE"]);
+    ended.assert_failed(1, &["! grip looks like rest", "once more"]);
+    assert!(labels(people.path()).contains("extension"));
+    assert!(!people.path().join("tendon/people/anna/person.toml").exists());
+}
+
+#[test]
+fn what_nobody_can_be_asked_is_refused_before_anything_is_recorded() {
+    let people = tempfile::tempdir().unwrap();
+    let refused = |arguments: &[&str], parts: &[&str]| {
+        calibrate(people.path(), "stranger-22", arguments).end().assert_failed(2, parts);
+    };
+    refused(&["--gestures", "extension,fist"], &["the simulated person cannot make it", "fist"]);
+    refused(&["--gestures", "grip,grip"], &["the gesture grip is named twice"]);
+    refused(&["--hold", "100ms"], &["a gesture of 0.1 s"]);
+    refused(&["--redo", "grip"], &["anna has no recording", "without --redo"]);
+    refused(&["--set", "acquisition.source=replay", "--set", "acquisition.replay.path=x.csv"], &["--from"]);
+    assert_eq!(recording(people.path()), None);
+}
