@@ -88,8 +88,14 @@ pub enum PersonalError {
     #[error(transparent)]
     Recognise(#[from] RecogniseError),
     /// Not one person has what it takes.
-    #[error("nobody can be calibrated and scored: {}", .0.first().map_or("there are no recordings", String::as_str))]
+    #[error("nobody can be calibrated and scored: {}", main_reason(.0))]
     Nobody(Vec<String>),
+}
+
+/// Why somebody is left out says more than why a trial is.
+fn main_reason(skipped: &[String]) -> &str {
+    let of_person = skipped.iter().find(|reason| reason.starts_with("person "));
+    of_person.or(skipped.first()).map_or("there are no recordings", String::as_str)
 }
 
 /// The recordings at or below some paths, by person.

@@ -16,7 +16,8 @@ use std::time::Instant;
 use serde::Serialize;
 use tendon_dataset::{DatasetSettings, Layout, share_recordings};
 use tendon_features::{
-    Cohort, GestureMap, LaggedLogCovariance, MethodSettings, PlacedGestures, Prior, PriorError, Recognised,
+    Cohort, GestureMap, LaggedLogCovariance, MethodSettings, PlacedGestures, Prior, Recognised,
+    UnlabelledError,
 };
 use tendon_gesture::Gesture;
 use tendon_people::{Made, Person, PersonName, PersonalRecogniser, RecogniseError};
@@ -189,9 +190,9 @@ impl Others {
     /// The prior and the map of those who share no recordings with anybody `left_out`.
     fn without(&self, found: &ByPerson, left_out: &[u16]) -> Result<(Prior, GestureMap), PersonalError> {
         let is_other = |number: u16| !left_out.iter().any(|&out| share_recordings(found.layout, out, number));
+        let others = self.cohort.members().filter(|member| is_other(member.number)).count();
         let prior = self.cohort.prior(|member| is_other(member.number))?;
-        let length = self.cohort.layout().feature_count();
-        let prior = prior.ok_or(PriorError::TooFewWindows { windows: 0, length })?;
+        let prior = prior.ok_or(UnlabelledError::TooFewPeople(others))?;
         let placed = self.placed.iter().filter(|(number, _)| is_other(*number));
         let placed: Vec<PlacedGestures> = placed.map(|(_, gestures)| gestures.clone()).collect();
         Ok((prior, GestureMap::new(&placed, Gesture::REST.name())?))

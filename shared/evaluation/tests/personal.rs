@@ -166,7 +166,10 @@ fn without_labels_a_stretch_of_use_calibrates_what_others_made_alike() {
     let (scores, _) = score_unlabelled(&paths, &settings, &[1, 2], &mut |_, _| {}).unwrap();
     assert_eq!(scores.scores.prior_people, 2, "nobody who is scored tells of others");
     let everybody = score_unlabelled(&paths, &settings, &[1, 2, 3], &mut |_, _| {}).unwrap_err().to_string();
-    assert!(everybody.contains("too few"), "{everybody}");
+    assert!(everybody.contains("1 other people are too few"), "{everybody}");
+    let everybody =
+        score_unlabelled(&paths, &settings, &[1, 2, 3, 4], &mut |_, _| {}).unwrap_err().to_string();
+    assert!(everybody.contains("0 other people are too few"), "{everybody}");
     let short = UnlabelledSettings { stretch_s: 2.0, ..settings };
     let error = score_unlabelled(&paths, &short, &[2], &mut |_, _| {}).unwrap_err().to_string();
     assert!(error.contains("person 2") && error.contains("too few to find 6 gestures"), "{error}");

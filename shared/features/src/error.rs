@@ -255,7 +255,10 @@ pub enum PriorError {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum UnlabelledError {
     /// Too few people to say how people differ.
-    #[error("{0} other people are too few to recognise a person without labels: two or more are needed")]
+    #[error(
+        "{0} other people are too few to recognise a person without labels: give recordings of two or more whom you do not \
+         score"
+    )]
     TooFewPeople(usize),
     /// There is no gesture that all made.
     #[error("the other people have no gesture in common beside rest: leave out who made others")]
