@@ -167,6 +167,7 @@ fn failure(error: ScoreError) -> Failure {
 fn text(options: &Options, model: &Path, scores: &Scores, trained: Option<&str>) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
     let mut text = format!("{} on people {}\n", model.display(), people.join(", "));
+    text += &format!("scored on {}\n", scores.scored_on);
     if let Some(trained) = trained {
         text += &format!("the model: {trained}\n");
     }

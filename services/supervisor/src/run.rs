@@ -22,7 +22,7 @@ use tendon_session::{
     stop_on_signals,
 };
 use tendon_transport::{Delivery, Leftovers, SessionLock};
-use tendon_zones::TaskRun;
+use tendon_zones::{Contraction, TaskRun};
 
 use crate::options::Options;
 use crate::screen::{KEYS, live_line};
@@ -179,8 +179,9 @@ fn watch_until_the_end(
         };
         let turn = watch.turn(tick.min(left), see).map_err(failure)?;
         observed.map_err(Failure::running)?;
-        if let Some(gesture) = task.as_mut().and_then(TaskRun::new_gesture) {
-            watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: 1.0 });
+        if let Some(contraction) = task.as_mut().and_then(TaskRun::new_contraction) {
+            let Contraction { gesture, effort } = contraction;
+            watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: effort as f32 });
         }
         terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);

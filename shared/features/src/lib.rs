@@ -16,12 +16,12 @@
 //!
 //! p50 of windows of 300 ms, four pieces, at 2000 Hz on an AMD EPYC (`--example work`, release build), in µs:
 //!
-//! | channels x delays | features | compute | posterior | distance | fit (ms) |
-//! | --- | --- | --- | --- | --- | --- |
-//! | 4 x 4 | 136 | 58 | 0.3 | 4 | 2 |
-//! | 8 x 4 | 528 | 253 | 1.1 | 43 | 24 |
-//! | 10 x 3 | 465 | 229 | 1.0 | 34 | 15 |
-//! | 64 x 1 | 2080 | 1512 | 7.6 | 1155 | 676 |
+//! | channels x delays | features | alone | in a stream, every 25 ms | posterior | distance | fit (ms) |
+//! | --- | --- | --- | --- | --- | --- | --- |
+//! | 4 x 4 | 136 | 58 | 14.5 | 0.3 | 4 | 2 |
+//! | 8 x 4 | 528 | 255 | 64 | 1.1 | 45 | 24 |
+//! | 10 x 3 | 465 | 232 | 58 | 1.0 | 35 | 15 |
+//! | 64 x 1 | 2080 | 1576 | 382 | 9.9 | 1536 | 676 |
 //!
 //! Most of it is the eigenvalues, computed by EISPACK's method in `eigen.rs`. In one run, for 16, 32 and 64
 //! rows: 14, 45 and 273 µs; nalgebra's `SymmetricEigen` 17, 55 and 520 µs, and it allocates; faer 0.24 19, 74

@@ -9,7 +9,7 @@
 //! Only motions in the base frame count. Motions in the tool frame and rotations are for other work.
 
 use glam::DVec3;
-use tendon_gesture::{Action, DecisionSettings, Frame, Gesture, Mode};
+use tendon_gesture::{Action, DecisionSettings, Frame, Gesture, Mode, SpeedControl, Strategy};
 
 /// What gestures do to the arm's position.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +17,8 @@ pub struct Controls {
     /// In the order of the settings. Never empty.
     modes: Vec<ModeControls>,
     axes: [bool; 3],
+    /// Where effort sets the speed: the effort below which it moves nothing.
+    effort_dead_zone: Option<f64>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -86,12 +88,30 @@ impl Controls {
             return Err(NothingMoves);
         }
         let modes = settings.modes.iter().map(|mode| ModeControls::new(mode, settings, axes)).collect();
-        Ok(Controls { modes, axes })
+        // Networks tell nothing of effort.
+        let effort_matters =
+            settings.speed_control == SpeedControl::Proportional && settings.strategy == Strategy::Personal;
+        let effort_dead_zone = effort_matters.then_some(settings.effort_dead_zone);
+        Ok(Controls { modes, axes, effort_dead_zone })
     }
 
     /// Whether zones may lie along x, y, z.
     pub fn axes(&self) -> [bool; 3] {
         self.axes
+    }
+
+    /// Whether a light contraction moves the arm slowly.
+    pub(crate) fn effort_matters(&self) -> bool {
+        self.effort_dead_zone.is_some()
+    }
+
+    /// The effort that moves the arm at this share of its highest speed: x with 3 x² - 2 x³ = share, beyond the dead zone.
+    /// Where effort does not matter, a comfortable contraction.
+    pub(crate) fn effort(&self, share: f64) -> f64 {
+        self.effort_dead_zone.map_or(1.0, |dead_zone| {
+            let above = 0.5 - ((1.0 - 2.0 * share.clamp(0.0, 1.0)).asin() / 3.0).sin();
+            dead_zone + (1.0 - dead_zone) * above
+        })
     }
 
     /// What to do in this mode with so much missing. Whatever this mode can do comes first, the axis on which most is missing
@@ -207,6 +227,20 @@ mod tests {
         assert_eq!((planned.gesture, planned.speed_mm_per_s), (Gesture::EXTENSION, 20.0));
         // Too little is missing to change the mode for: what is left here, is done.
         assert_eq!(step(0, DVec3::new(9.0, 2.0, 5.0)).gesture(), Gesture::EXTENSION);
+    }
+
+    #[test]
+    fn effort_is_that_which_gives_the_speed_with_a_person_and_a_comfortable_one_without() {
+        let person = |text: &str| {
+            let settings = DecisionSettings { strategy: Strategy::Personal, ..settings(text) };
+            Controls::new(&settings).unwrap()
+        };
+        for share in [0.0, 0.1, 0.5, 0.9, 1.0] {
+            let above = (person("").effort(share) - 0.1) / 0.9;
+            assert!((above * above * (3.0 - 2.0 * above) - share).abs() < 1e-9, "{share}");
+        }
+        assert_eq!(person("speed_control = \"constant\"").effort(0.1), 1.0);
+        assert_eq!(Controls::new(&settings("")).unwrap().effort(0.1), 1.0);
     }
 
     #[test]

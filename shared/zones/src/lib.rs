@@ -29,5 +29,5 @@ pub use report::{TaskReport, ZoneScore};
 pub use run::{TaskKind, TaskPlan, TaskRun};
 pub use settings::{TaskSettings, TaskSettingsError, UserSettings};
 pub use task::ZoneTask;
-pub use user::SimulatedUser;
+pub use user::{Contraction, SimulatedUser};
 pub use zone::{NoRoomForZones, Placement, Workspace, Zone, ZoneShape};

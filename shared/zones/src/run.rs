@@ -2,16 +2,16 @@
 //!
 //! ```text
 //! states ─▶ TaskRun ─▶ ZoneTask ─▶ report, figures
-//!             └──────▶ SimulatedUser ─▶ gesture ─▶ acquisition ─▶ … ─▶ robot ─▶ states
+//!             └──────▶ SimulatedUser ─▶ contraction ─▶ acquisition ─▶ … ─▶ robot ─▶ states
 //! ```
 
 use clap::ValueEnum;
 use glam::DVec3;
-use tendon_gesture::Gesture;
 use tendon_messages::{Permission, Stage, StateHeader};
 
 use crate::{
-    Controls, NoRoomForZones, Placement, SimulatedUser, TaskReport, TaskSettings, Workspace, ZoneTask,
+    Contraction, Controls, NoRoomForZones, Placement, SimulatedUser, TaskReport, TaskSettings, Workspace,
+    ZoneTask,
 };
 
 /// Which task there is to do.
@@ -65,10 +65,10 @@ pub struct TaskPlan {
 pub struct TaskRun {
     plan: TaskPlan,
     user: Option<SimulatedUser>,
-    /// The gesture that the user makes.
-    gesture: Gesture,
-    /// Whether [`TaskRun::new_gesture`] has given it out.
-    gesture_is_known: bool,
+    /// What the user does with the muscles.
+    contraction: Contraction,
+    /// Whether [`TaskRun::new_contraction`] has given it out.
+    contraction_is_known: bool,
     /// When the first sample that led to a command was captured.
     first_captured_ns: Option<u64>,
     under_way: Option<ZoneTask>,
@@ -90,8 +90,8 @@ impl TaskRun {
         Ok(TaskRun {
             plan,
             user,
-            gesture: Gesture::REST,
-            gesture_is_known: true,
+            contraction: Contraction::REST,
+            contraction_is_known: true,
             first_captured_ns: None,
             under_way: None,
             found_no_room: false,
@@ -127,21 +127,21 @@ impl TaskRun {
         };
         task.observe(time_s, position_mm);
         if let Some(user) = &mut self.user {
-            let wanted = user.gesture(time_s, position_mm, header.mode.into(), task.zone());
+            let wanted = user.act(time_s, position_mm, header.mode.into(), task.zone());
             // An arm that waits for a rest gets one: the live line asks for it.
-            let gesture = if may_move { wanted } else { Gesture::REST };
-            if gesture != self.gesture {
-                self.gesture = gesture;
-                self.gesture_is_known = false;
+            let contraction = if may_move { wanted } else { Contraction::REST };
+            if contraction != self.contraction {
+                self.contraction = contraction;
+                self.contraction_is_known = false;
             }
         }
         Ok(())
     }
 
-    /// The simulated user's gesture, if it has changed since the last call.
-    pub fn new_gesture(&mut self) -> Option<Gesture> {
-        let is_known = std::mem::replace(&mut self.gesture_is_known, true);
-        (!is_known).then_some(self.gesture)
+    /// What the simulated user does with the muscles, if it has changed since the last call.
+    pub fn new_contraction(&mut self) -> Option<Contraction> {
+        let is_known = std::mem::replace(&mut self.contraction_is_known, true);
+        (!is_known).then_some(self.contraction)
     }
 
     /// What to tell the user at the start.
@@ -203,7 +203,7 @@ fn directions(offset_mm: DVec3, axes: [bool; 3]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tendon_gesture::DecisionSettings;
+    use tendon_gesture::{DecisionSettings, Gesture};
 
     use super::*;
 
@@ -271,8 +271,9 @@ mod tests {
             time_s += 0.004;
             assert!(time_s < 20.0, "the user does nothing");
             run.observe(&state(time_s, permission), START_MM).unwrap();
-            if let Some(gesture) = run.new_gesture().filter(|gesture| until(*gesture)) {
-                assert_eq!(run.new_gesture(), None);
+            let made = run.new_contraction().map(|contraction| contraction.gesture);
+            if let Some(gesture) = made.filter(|gesture| until(*gesture)) {
+                assert_eq!(run.new_contraction(), None);
                 break gesture;
             }
         };

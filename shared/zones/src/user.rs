@@ -9,7 +9,7 @@
 //! Gestures move along one axis at a time, so the user goes along the one on which most is missing, then along the
 //! others; what the mode that is on can do comes first. It knows what gestures do ([`Controls`]), but nothing of how long
 //! the system takes: how far the arm runs on after a release, and how long a contraction has no effect, are learnt from
-//! one movement to the next.
+//! one movement to the next. Where effort sets the speed, it contracts hard for a long way and lightly for a short one.
 
 use std::collections::VecDeque;
 
@@ -41,10 +41,36 @@ const STUCK_S: f64 = 1.5;
 const TOLERANCE: f64 = 0.25;
 /// Standard deviation of what is timed by hand, as a share of it.
 const TIMING_SPREAD: f64 = 0.1;
+/// Standard deviation of the effort of a contraction, as a share of it.
+const EFFORT_SPREAD: f64 = 0.1;
+/// Where effort sets the speed, a movement is meant to take so long whatever its length, s: the farther, the harder the
+/// contraction (isochrony).
+const MOVEMENT_S: f64 = 0.3;
+/// The least share of the highest speed that is meant: lighter contractions can hardly be kept or recognised.
+const SLOWEST_SHARE: f64 = 0.1;
+
 /// Share of what is new in what has been learnt.
 const LEARNING_RATE: f64 = 0.3;
 /// What the user expects of the system before the first movement: it starts and stops so late, s.
 const EXPECTED_LATENCY_S: f64 = 0.45;
+
+/// What the user does with the muscles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contraction {
+    /// The gesture.
+    pub gesture: Gesture,
+    /// How hard it is made, as a share of a comfortable contraction, above 0 to 1.
+    pub effort: f64,
+}
+
+impl Contraction {
+    /// No contraction.
+    pub const REST: Contraction = Contraction::comfortable(Gesture::REST);
+
+    const fn comfortable(gesture: Gesture) -> Contraction {
+        Contraction { gesture, effort: 1.0 }
+    }
+}
 
 /// A simulated user at the task.
 #[derive(Clone, Debug)]
@@ -104,6 +130,9 @@ struct Movement {
     from: Sight,
     /// What is missing along the direction at the beginning, mm.
     missing_mm: f64,
+    effort: f64,
+    /// The speed that is meant.
+    speed_mm_per_s: f64,
     end: End,
 }
 
@@ -151,10 +180,10 @@ impl SimulatedUser {
         }
     }
 
-    /// The gesture that is made now, with the arm at `position_mm` in this mode, and this zone to reach.
-    pub fn gesture(&mut self, time_s: f64, position_mm: DVec3, mode: usize, zone: &Zone) -> Gesture {
+    /// The contraction that is made now, with the arm at `position_mm` in this mode, and this zone to reach.
+    pub fn act(&mut self, time_s: f64, position_mm: DVec3, mode: usize, zone: &Zone) -> Contraction {
         self.sights.push_back(Sight { time_s, position_mm, mode });
-        let Some(seen) = self.seen(time_s) else { return Gesture::REST };
+        let Some(seen) = self.seen(time_s) else { return Contraction::REST };
         self.notice(time_s, seen, zone);
         match self.phase {
             Phase::Rest { judges_s, released } => {
@@ -169,7 +198,7 @@ impl SimulatedUser {
             Phase::Slip { releases_s, .. } if time_s >= releases_s => self.release(time_s, None),
             Phase::Slip { .. } => {}
         }
-        self.phase.gesture()
+        self.phase.contraction()
     }
 
     /// What is seen now. Older sights are kept for as long as stillness is judged by them.
@@ -222,7 +251,9 @@ impl SimulatedUser {
             Phase::Rest { judges_s, .. } if time_s >= judges_s => self.contract(time_s, seen),
             Phase::Rest { .. } | Phase::React { .. } => {}
             Phase::Move(_) | Phase::Change { .. } | Phase::Slip { .. } => {
-                let step = self.next_step(zone, seen).filter(|step| step.gesture() == self.phase.gesture());
+                let step = self
+                    .next_step(zone, seen)
+                    .filter(|step| step.gesture() == self.phase.contraction().gesture);
                 match (step, self.phase) {
                     (Some(Step::Move(planned, missing_mm)), _) => {
                         self.begin(time_s, seen, planned, missing_mm)
@@ -276,8 +307,36 @@ impl SimulatedUser {
     }
 
     fn begin(&mut self, time_s: f64, seen: Sight, planned: Move, missing_mm: f64) {
-        let end = self.plan(missing_mm, planned.speed_mm_per_s);
-        self.phase = Phase::Move(Movement { planned, since_s: time_s, from: seen, missing_mm, end });
+        let speed_mm_per_s = self.speed_mm_per_s(missing_mm, planned);
+        let effort = self.effort(speed_mm_per_s / planned.speed_mm_per_s);
+        let end = self.plan(missing_mm, speed_mm_per_s);
+        self.phase = Phase::Move(Movement {
+            planned,
+            since_s: time_s,
+            from: seen,
+            missing_mm,
+            effort,
+            speed_mm_per_s,
+            end,
+        });
+    }
+
+    /// The speed that is meant for a movement of this length.
+    fn speed_mm_per_s(&self, missing_mm: f64, planned: Move) -> f64 {
+        let highest = planned.speed_mm_per_s;
+        match self.controls.effort_matters() {
+            true => (missing_mm / MOVEMENT_S).clamp(SLOWEST_SHARE * highest, highest),
+            false => highest,
+        }
+    }
+
+    /// The effort for this share of the highest speed, as well as it can be kept.
+    fn effort(&mut self, share: f64) -> f64 {
+        if !self.controls.effort_matters() {
+            return 1.0;
+        }
+        let normal: f64 = StandardNormal.sample(&mut self.rng);
+        (self.controls.effort(share) * (1.0 + EFFORT_SPREAD * normal)).clamp(0.0, 1.0)
     }
 
     /// How a movement of this length will be ended.
@@ -294,7 +353,7 @@ impl SimulatedUser {
     fn watch_movement(&mut self, time_s: f64, seen: Sight, movement: Movement) {
         let held_s = time_s - movement.since_s;
         let travelled_mm = seen.position_mm - movement.from.position_mm;
-        let Move { direction, speed_mm_per_s, .. } = movement.planned;
+        let Movement { speed_mm_per_s, planned: Move { direction, .. }, .. } = movement;
         let missing_mm = movement.missing_mm - travelled_mm.dot(direction);
         let is_over = match movement.end {
             End::Wrong(releases_s) if time_s >= releases_s => return self.release(time_s, None),
@@ -334,13 +393,15 @@ impl SimulatedUser {
 }
 
 impl Phase {
-    /// The gesture that is made.
-    fn gesture(&self) -> Gesture {
+    /// The contraction that is made.
+    fn contraction(&self) -> Contraction {
         match self {
-            Phase::Rest { .. } | Phase::React { .. } => Gesture::REST,
-            Phase::Move(movement) => movement.planned.gesture,
-            Phase::Change { change, .. } => change.gesture,
-            Phase::Slip { gesture, .. } => *gesture,
+            Phase::Rest { .. } | Phase::React { .. } => Contraction::REST,
+            Phase::Move(movement) => {
+                Contraction { gesture: movement.planned.gesture, effort: movement.effort }
+            }
+            Phase::Change { change, .. } => Contraction::comfortable(change.gesture),
+            Phase::Slip { gesture, .. } => Contraction::comfortable(*gesture),
         }
     }
 }
@@ -349,7 +410,7 @@ impl Learnt {
     /// The arm came to rest at `seen_mm` after this release.
     fn learn(&mut self, released: &Release, seen_mm: DVec3) {
         let Release { movement, time_s, at_mm } = released;
-        let Move { direction, speed_mm_per_s, .. } = movement.planned;
+        let Movement { speed_mm_per_s, planned: Move { direction, .. }, .. } = *movement;
         match movement.end {
             End::Near(_) => {
                 // What is not plausible, because a gesture was not recognised, is not learnt from.

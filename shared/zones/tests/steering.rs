@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 
 use glam::DVec3;
 use tendon_arm::{ArmSettings, SimulatedArm, Twist};
-use tendon_gesture::{Decider, DecisionSettings, Evidence, Strategy};
-use tendon_zones::{Controls, SimulatedUser, TaskReport, TaskSettings, Workspace, ZoneTask};
+use tendon_gesture::{Decider, DecisionSettings, Evidence, SpeedControl, Strategy};
+use tendon_zones::{Contraction, Controls, SimulatedUser, TaskReport, TaskSettings, Workspace, ZoneTask};
 
 const STEP_NS: u64 = 5_000_000;
 const INCREMENT_STEPS: u64 = 5;
@@ -31,10 +31,10 @@ impl Muscles {
         Muscles { levels: vec![0.0; gestures], window: VecDeque::new() }
     }
 
-    fn step(&mut self, commanded: usize) {
+    fn step(&mut self, commanded: usize, effort: f64) {
         let most = STEP_NS as f64 / 1e9 / RISE_S;
         for (number, level) in self.levels.iter_mut().enumerate() {
-            let wanted = if number == commanded && number != 0 { 1.0 } else { 0.0 };
+            let wanted = if number == commanded && number != 0 { effort } else { 0.0 };
             *level += (wanted - *level).clamp(-most, most);
         }
         self.window.push_back(self.levels.clone());
@@ -55,7 +55,7 @@ impl Muscles {
 
 /// `duration_s` of the task, and the modes in the order in which they were on.
 fn steer(settings: &TaskSettings, decision: &DecisionSettings, duration_s: f64) -> (TaskReport, Vec<usize>) {
-    let arm_settings = ArmSettings::default();
+    let arm_settings = ArmSettings { linear_speed_limit_mm_per_s: 300.0, ..ArmSettings::default() };
     let workspace = Workspace {
         min_mm: arm_settings.workspace_min_mm.into(),
         max_mm: arm_settings.workspace_max_mm.into(),
@@ -73,8 +73,8 @@ fn steer(settings: &TaskSettings, decision: &DecisionSettings, duration_s: f64) 
         let position_mm = DVec3::from(arm.state().position_mm);
         task.observe(time_s, position_mm);
         let mode = *modes.last().unwrap();
-        let gesture = user.gesture(time_s, position_mm, mode, task.zone());
-        muscles.step(decision.gestures.number(gesture).unwrap().into());
+        let Contraction { gesture, effort } = user.act(time_s, position_mm, mode, task.zone());
+        muscles.step(decision.gestures.number(gesture).unwrap().into(), effort);
         if step % INCREMENT_STEPS == 0 {
             let efforts = muscles.efforts();
             let strongest =
@@ -169,4 +169,23 @@ fn the_plane_is_steered_as_ever() {
     let (report, modes) = steer(&TaskSettings::default(), &decision(""), 300.0);
     assert!(report.zones_reached >= 55 && report.zones_timed_out == 0, "{report}");
     assert_eq!(modes, [0]);
+}
+
+#[test]
+fn with_effort_a_fast_arm_is_steered_better_than_without() {
+    let with = |speed_control: SpeedControl, speed_mm_per_s: f64| {
+        let decision = DecisionSettings {
+            strategy: Strategy::Personal,
+            speed_control,
+            speed_mm_per_s,
+            ..DecisionSettings::default()
+        };
+        steer(&TaskSettings::default(), &decision, 300.0).0
+    };
+    let throughput = |report: &TaskReport| report.throughput_bits_per_s.unwrap();
+    let [usual, fast] = [50.0, 150.0].map(|speed| with(SpeedControl::Constant, speed));
+    let proportional = with(SpeedControl::Proportional, 150.0);
+    assert!(throughput(&proportional) >= 1.15 * throughput(&usual), "{proportional}\n{usual}");
+    assert!(throughput(&proportional) >= 1.15 * throughput(&fast), "{proportional}\n{fast}");
+    assert!(proportional.overshoots < fast.overshoots, "{proportional}\n{fast}");
 }

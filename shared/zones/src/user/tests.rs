@@ -64,7 +64,7 @@ fn play(settings: &TaskSettings, mut plant: Plant, duration_s: f64) -> (TaskRepo
     for step in 0..(duration_s / STEP_S) as u64 {
         let time_s = step as f64 * STEP_S;
         task.observe(time_s, plant.position_mm);
-        let gesture = user.gesture(time_s, plant.position_mm, 0, task.zone());
+        let gesture = user.act(time_s, plant.position_mm, 0, task.zone()).gesture;
         plant.step(time_s, gesture);
     }
     (task.report("zones", "simulated", 0), plant.made)
