@@ -76,6 +76,11 @@ def write_card(
     )
     data, unit, credit = source(manifest)
     what = {"cnn": "1D CNN", "lstm": "LSTM"}[network]
+    # Whom or what the test windows are of.
+    sessions = manifest.get("split", {}).get("test_sessions")
+    test = (
+        f"Test on what was held out: {recipe['held out for test']}" if sessions else "Test on people never seen in training"
+    )
     card = f"""# {out.name}
 
 The {what} of the paper: {classes} classes ({", ".join(names)}). Input `window` {[1, *shape]}: the signal in {unit}, \
@@ -87,7 +92,7 @@ channel-major; output `probabilities` [1, {classes}]. Z-score and softmax are in
 
 {table(["", ""], [[key, str(value)] for key, value in recipe.items()])}
 
-## Test on people never seen in training
+## {test}
 Accuracy **{confusion.trace() / len(truth):.4f}** over {len(truth)} examples.
 
 {table(["class", "precision", "recall", "F1", "examples"], scores)}

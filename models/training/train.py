@@ -8,7 +8,7 @@
 
 DIR is the output of `tendon dataset build --test-people P,…`: windows that went through the same filters, onset detection
 and windowing as the live pipeline. The data set says which windows are for training, validation and test. The test people
-are never seen in training. The epoch with the best validation accuracy is exported. A model of envelopes
+are never seen in training; with `--test-sessions`, a session of people that is held out. The epoch with the best validation accuracy is exported. A model of envelopes
 (`dataset build --input envelope`) or an LSTM can be evaluated, but not run live.
 
 Beside OUT this writes the model card (OUT with the ending .md) and prints the same numbers. An interrupted training
@@ -235,10 +235,13 @@ def run(arguments, stop_after: int | None = None) -> float:
 
     made_with = dataset.settings
     people_trained = " ".join(map(str, sorted(set(dataset.people[dataset.training].tolist()))))
-    people_held_out = " ".join(map(str, sorted(set(dataset.people[dataset.test].tolist()))))
+    tested = set(dataset.people[dataset.test].tolist()) - set(dataset.people[dataset.training].tolist())
+    people_held_out = " ".join(map(str, sorted(tested)))
+    split = dataset.manifest.get("split", {})
+    held_out = split.get("held_out") or f"people {people_held_out}"
     recipe = {
         "people trained on": people_trained,
-        "people held out for test": people_held_out,
+        "held out for test": held_out,
         "sequences of five windows" if dataset.sequence_windows > 1 else "windows": counts,
         "channels of the recordings": " ".join(map(str, made_with["channels"])),
         "window, increment": f"{samples}, {made_with['windows']['increment_samples']} samples",
@@ -265,7 +268,7 @@ def run(arguments, stop_after: int | None = None) -> float:
         "tendon.people_held_out": people_held_out,
         "tendon.validation_accuracy": f"{validation_accuracy:.4f}",
         "tendon.provenance": (
-            f"trained on people {people_trained}; held out {people_held_out}; {counts} windows; "
+            f"trained on people {people_trained}; held out {held_out}; {counts} windows; "
             f"epochs {recipe['epochs']}; seed {arguments.seed}"
         ),
     }
@@ -276,8 +279,9 @@ def run(arguments, stop_after: int | None = None) -> float:
     if (rest_rms := dataset.rest_rms()) is not None:
         metadata["tendon.rest_rms"] = json.dumps([float(f"{value:.4g}") for value in rest_rms], separators=(",", ":"))
     # People have their numbers within a data set; those of recordings of your own mean nothing elsewhere.
-    if dataset.manifest.get("data_set"):
-        metadata["tendon.data_set"] = dataset.manifest["data_set"]
+    metadata["tendon.data_set"] = dataset.manifest.get("data_set") or "own recordings"
+    if split.get("test_sessions"):
+        metadata["tendon.held_out_sessions"] = json.dumps(split["test_sessions"])
     export(model.cpu(), dataset.shape, metadata, arguments.out)
     sample = dataset.test[:: max(1, len(dataset.test) // 256)]
     parity = check_parity(model, np.ascontiguousarray(dataset.examples(sample)), arguments.out)

@@ -91,6 +91,10 @@ pub struct BuildOptions {
     /// 14 share recordings and must stay together.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     test_people: Vec<u16>,
+    /// Sessions to hold out for the test, such as test of 3DC: all their windows are for the test. The model then knows the
+    /// people, and its score says how well it does in another session of the same people.
+    #[arg(long, value_name = "SESSION,…", value_delimiter = ',')]
+    test_sessions: Vec<String>,
     /// Seed for choosing the validation windows: 20 % of each gesture's windows that are not for the test.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -170,7 +174,7 @@ impl BuildProgress {
 
 /// What the data set is made from. Its settings stand in the manifest itself.
 fn provenance(options: &BuildOptions) -> anyhow::Result<Provenance> {
-    let configuration = serde_json::json!({ "test_people": options.test_people, "seed": options.seed });
+    let configuration = serde_json::json!({ "test_people": options.test_people, "test_sessions": options.test_sessions, "seed": options.seed });
     let begun = Provenance::begin(PROGRAM).with_configuration(&configuration)?;
     Ok(begun.with_recording(&options.recordings)?)
 }
@@ -185,6 +189,7 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
     OutputFolder::check(&options.out).map_err(Failure::input)?;
     let building = BuildSettings {
         test_people: options.test_people.clone(),
+        test_sessions: options.test_sessions.clone(),
         seed: options.seed,
         threads: options.threads.map_or(default.threads, usize::from),
         provenance: provenance(options).map_err(Failure::input)?,
@@ -223,12 +228,13 @@ fn text(options: &BuildOptions, manifest: &Manifest, duration: Option<Duration>)
     if let Some(total) = manifest.onsets.get("total") {
         text += &format!("{:<12}{:>9}{}\n", "total", manifest.windows, columns(total));
     }
-    let SplitEntry { test_people, seed, windows: split, .. } = &manifest.split;
+    let SplitEntry { test_people, test_sessions, held_out, seed, windows: split, .. } = &manifest.split;
     text +=
         &format!("\n{} windows to train on, {} for validation (seed {seed})", split.train, split.validation);
-    text += &match test_people.as_slice() {
-        [] => "; nobody is held out: --test-people chooses whom to test on".to_owned(),
-        people => format!(", {} for the test: all of {}", split.test, list_of(people)),
+    text += &match (test_people.as_slice(), test_sessions.as_slice()) {
+        ([], []) => "; nobody is held out: --test-people chooses whom to test on".to_owned(),
+        (people, []) => format!(", {} for the test: all of {}", split.test, list_of(people)),
+        _ => format!(", {} for the test: {held_out}", split.test),
     };
     if let Some(duration) = duration {
         let signal_s: f64 =

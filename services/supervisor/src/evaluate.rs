@@ -1,6 +1,7 @@
 //! `tendon evaluate`: how well a model recognises windows, by the code that runs live.
 
 mod people;
+mod unlabelled;
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +17,7 @@ use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
 
 use crate::Failure;
-use crate::options::{Base, channel};
+use crate::options::{Base, channel, seconds};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
@@ -29,7 +30,7 @@ pub struct Options {
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<PathBuf>,
     /// The ONNX model.
-    #[arg(long, value_name = "FILE", required_unless_present = "calibrate_repetitions")]
+    #[arg(long, value_name = "FILE", required_unless_present = "calibration")]
     model: Option<PathBuf>,
     /// Instead of a model, calibrate a recogniser to each person on the first N repetitions of the first session, with
     /// what others have in common, and score the person's last session. Takes filter, windows and rate from the
@@ -37,14 +38,26 @@ pub struct Options {
     #[arg(
         long,
         value_name = "N",
+        group = "calibration",
         conflicts_with_all = ["model", "runtime_library"],
         value_parser = clap::value_parser!(u32).range(1..)
     )]
     calibrate_repetitions: Option<u32>,
+    /// Instead of a model, calibrate a recogniser to each person on the first SECONDS of the first session without looking at
+    /// what was made in them, and score the person's last session. What the person made is guessed from where other people's
+    /// gestures lie: those of these recordings who are not scored, or with everybody scored, all others.
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        group = "calibration",
+        conflicts_with_all = ["model", "runtime_library"],
+        value_parser = seconds
+    )]
+    calibrate_unlabelled: Option<f64>,
     #[command(flatten)]
     base: Base,
-    /// With --calibrate-repetitions: sampling rate of recordings that do not state it, Hz.
-    #[arg(long, value_name = "HZ", requires = "calibrate_repetitions")]
+    /// With --calibrate-repetitions or --calibrate-unlabelled: sampling rate of recordings that do not state it, Hz.
+    #[arg(long, value_name = "HZ", requires = "calibration")]
     recording_rate_hz: Option<f64>,
     /// Score only these people, by number. By default, everybody whom the model was not trained on: a score on people
     /// it has seen says nothing about a stranger.
@@ -89,6 +102,9 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     if let Some(repetitions) = options.calibrate_repetitions {
         return people::evaluate(options, repetitions, json, figures, begun);
     }
+    if let Some(stretch_s) = options.calibrate_unlabelled {
+        return unlabelled::evaluate(options, stretch_s, json, figures, begun);
+    }
     let model = model(options).map_err(Failure::input)?;
     let library =
         tendon_classifier::runtime_library(options.runtime_library.as_deref()).map_err(Failure::input)?;
@@ -126,7 +142,8 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
 fn model(options: &Options) -> anyhow::Result<&Path> {
     ensure!(
         !options.base.is_given(),
-        "--config and --set are for --calibrate-repetitions; a model says itself how its windows are made"
+        "--config and --set are for --calibrate-repetitions and --calibrate-unlabelled; a model says itself how its windows \
+         are made"
     );
     options.model.as_deref().context("give a model with --model")
 }
@@ -167,6 +184,7 @@ fn failure(error: ScoreError) -> Failure {
 fn text(options: &Options, model: &Path, scores: &Scores, trained: Option<&str>) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
     let mut text = format!("{} on people {}\n", model.display(), people.join(", "));
+    text += &format!("scored on {}\n", scores.scored_on);
     if let Some(trained) = trained {
         text += &format!("the model: {trained}\n");
     }

@@ -327,6 +327,16 @@ pub fn channel(text: &str) -> anyhow::Result<usize> {
     text.trim().parse().map_err(|_| anyhow!("channels are numbers here, from 0"))
 }
 
+/// A number of seconds above 0.
+///
+/// # Errors
+///
+/// When it is none.
+pub fn seconds(text: &str) -> anyhow::Result<f64> {
+    let seconds = text.trim().parse().ok().filter(|seconds: &f64| seconds.is_finite() && *seconds > 0.0);
+    seconds.ok_or_else(|| anyhow!("give a number of seconds above 0, such as 30"))
+}
+
 /// A time to wait or to run, such as `20s`.
 ///
 /// # Errors
@@ -346,6 +356,14 @@ mod tests {
     fn a_channel_is_a_number_and_the_refusal_says_so() {
         assert_eq!(channel("0").unwrap(), 0);
         assert_eq!(format!("{:#}", channel("flexor").unwrap_err()), "channels are numbers here, from 0");
+    }
+
+    #[test]
+    fn seconds_are_a_finite_number_above_0() {
+        assert_eq!(seconds("30").unwrap(), 30.0);
+        for text in ["0", "-1", "inf", "NaN", "soon"] {
+            assert!(seconds(text).unwrap_err().to_string().contains("above 0"), "{text}");
+        }
     }
 
     #[test]

@@ -46,13 +46,22 @@ pub struct TrainedOn {
     pub data_set: Option<String>,
     /// Numbers of the people in that data set; empty if the model does not say.
     pub people: Vec<u16>,
+    /// Sessions of these people that were held out, so that the model has not seen them.
+    pub held_out_sessions: Vec<String>,
 }
+
+/// What a model says instead of the name of a data set if it was trained on recordings of your own. Their people have
+/// nothing to do with those of a data set.
+const OWN_RECORDINGS: &str = "own recordings";
 
 impl TrainedOn {
     /// Reads it through `lookup`, which gives the metadata's value for a key.
     pub(crate) fn read(lookup: impl Fn(&str) -> Option<String>) -> Result<TrainedOn, ContractProblem> {
         let people = lookup("tendon.people_trained").unwrap_or_default();
+        let key = "tendon.held_out_sessions";
+        let sessions = lookup(key).unwrap_or_else(|| "[]".to_owned());
         Ok(TrainedOn {
+            held_out_sessions: serde_json::from_str(&sessions).map_err(|_| senseless(key, &sessions))?,
             data_set: lookup("tendon.data_set").filter(|name| !name.is_empty()),
             people: people
                 .split_whitespace()
@@ -66,9 +75,15 @@ impl TrainedOn {
     /// data set, everybody if it names none.
     pub fn people_of(&self, data_set: Option<&str>) -> &[u16] {
         match &self.data_set {
-            Some(own) if Some(own.as_str()) != data_set => &[],
+            Some(own) if own != data_set.unwrap_or(OWN_RECORDINGS) => &[],
             _ => &self.people,
         }
+    }
+
+    /// Whether the model was, or may have been, trained on this session of this person of `data_set`.
+    pub fn knows(&self, data_set: Option<&str>, person: u16, session: &str) -> bool {
+        self.people_of(data_set).contains(&person)
+            && !self.held_out_sessions.iter().any(|held_out| held_out == session)
     }
 
     /// Whether this person of `data_set` is one of them; `None` where the model does not say enough to tell.
@@ -464,7 +479,23 @@ mod tests {
     }
 
     fn trained_on(data_set: Option<&str>, people: &[u16]) -> TrainedOn {
-        TrainedOn { data_set: data_set.map(str::to_owned), people: people.to_vec() }
+        TrainedOn {
+            data_set: data_set.map(str::to_owned),
+            people: people.to_vec(),
+            held_out_sessions: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn people_of_your_own_are_not_those_of_a_data_set_and_a_session_held_out_is_not_known() {
+        let of_own = trained_on(Some("own recordings"), &[3]);
+        assert!(of_own.people_of(Some("3DC")).is_empty(), "the user's 3 is not 3DC's");
+        assert_eq!(of_own.people_of(None), [3]);
+        let with_session = TrainedOn { held_out_sessions: vec!["tuesday".to_owned()], ..of_own.clone() };
+        let knows = |person, session| with_session.knows(None, person, session);
+        assert_eq!((knows(3, "monday"), knows(3, "tuesday"), knows(4, "monday")), (true, false, false));
+        let broken = TrainedOn::read(|key| (key == "tendon.held_out_sessions").then(|| "tuesday".to_owned()));
+        assert!(broken.unwrap_err().to_string().contains("tendon.held_out_sessions"));
     }
 
     #[test]

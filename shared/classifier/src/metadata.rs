@@ -90,7 +90,7 @@ mod tests {
     fn the_models_that_come_with_tendon_say_whom_they_were_trained_on() {
         let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
         for model in ["cnn-five-gesture.onnx", "cnn-six-class.onnx", "cnn-rest-move.onnx"] {
-            let TrainedOn { data_set, people } = trained_on(&models.join(model)).unwrap();
+            let TrainedOn { data_set, people, .. } = trained_on(&models.join(model)).unwrap();
             assert_eq!(data_set.as_deref(), Some("3DC"), "{model}");
             assert_eq!(people, [1, 3, 4, 5, 6, 7, 9, 11, 12, 13, 14, 15], "{model}");
         }

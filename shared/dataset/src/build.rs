@@ -21,7 +21,7 @@ use crate::manifest::{Content, Manifest};
 use crate::ordered;
 use crate::recording::Recording;
 use crate::settings::DatasetSettings;
-use crate::split::{self, Split, SplitError, list_of};
+use crate::split::{self, Split, SplitError};
 use crate::trial::RecordingEntry;
 
 /// How far [`build`] has come.
@@ -65,12 +65,11 @@ pub enum DatasetError {
     Split(#[from] SplitError),
     /// All windows are held out.
     #[error(
-        "nothing is left to train on: all windows are of those held out ({}); hold out fewer people",
-        list_of(.test_people)
+        "nothing is left to train on: all windows are of those held out ({held_out}); hold out fewer people or sessions"
     )]
     NothingToTrain {
-        /// The people held out.
-        test_people: Vec<u16>,
+        /// What is held out, in words.
+        held_out: String,
     },
     /// The build was broken off.
     #[error("interrupted: run the same command again to continue the build in {}", .out_dir.display())]
@@ -118,6 +117,8 @@ pub enum DatasetError {
 pub struct BuildSettings {
     /// People held out: all their windows are for the test, and no others.
     pub test_people: Vec<u16>,
+    /// Sessions held out of everybody, such as `test` of 3DC: all their windows are for the test.
+    pub test_sessions: Vec<String>,
     /// Seed of the choice of windows for validation.
     pub seed: u64,
     /// Recordings that are read at a time. The data set does not depend on it.
@@ -130,7 +131,13 @@ impl Default for BuildSettings {
     /// Nobody is held out; all processors, but no more than eight threads: each may hold a recording in memory.
     fn default() -> BuildSettings {
         let threads = std::thread::available_parallelism().map_or(1, NonZeroUsize::get).min(8);
-        BuildSettings { test_people: Vec::new(), seed: 0, threads, provenance: Provenance::default() }
+        BuildSettings {
+            test_people: Vec::new(),
+            test_sessions: Vec::new(),
+            seed: 0,
+            threads,
+            provenance: Provenance::default(),
+        }
     }
 }
 
@@ -168,6 +175,7 @@ pub fn build(
     settings.check()?;
     let found = list(settings, paths)?;
     split::check_people(&building.test_people, found.layout, &found.recordings)?;
+    split::check_sessions(&building.test_sessions, &found.recordings)?;
     let total = found.recordings.len();
     let (mut builder, is_other) = Builder::open(settings, &found, out_dir)?;
     let resumed = builder.finished;
@@ -345,10 +353,11 @@ impl<'a> Builder<'a> {
             };
             return Err(DatasetError::NoWindows { recordings: self.finished, first_reason });
         }
-        let splits = split::splits(&recordings, &building.test_people, building.seed);
-        let split = split::entry_of(&splits, &recordings, &building.test_people, building.seed);
+        let BuildSettings { test_people, test_sessions, seed, .. } = building;
+        let splits = split::splits(&recordings, test_people, test_sessions, *seed);
+        let split = split::entry_of(&splits, &recordings, test_people, test_sessions, *seed);
         if split.windows.train == 0 {
-            return Err(DatasetError::NothingToTrain { test_people: split.test_people });
+            return Err(DatasetError::NothingToTrain { held_out: split.held_out });
         }
         let windows_path = out_dir.join(WINDOWS);
         windows.finish().map_err(write_error(&windows_path))?;

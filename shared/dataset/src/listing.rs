@@ -39,6 +39,14 @@ impl Layout {
             Layout::Labelled => None,
         }
     }
+
+    /// How many electrodes an armband has that go around the whole arm, numbered in order; `None` where that is not so.
+    pub fn electrodes_around_arm(self) -> Option<usize> {
+        match self {
+            Layout::ThreeDc => Some(three_dc::ELECTRODES),
+            Layout::OzdemirMat | Layout::OzdemirTrials | Layout::Labelled => None,
+        }
+    }
 }
 
 impl fmt::Display for Layout {

@@ -1,8 +1,8 @@
 //! Which windows a model is trained on, which ones tell when to stop, and which ones test it.
 //!
 //! ```text
-//! people ─┬─ held out ─▶ test: all of their windows
-//!         └─ others ───▶ of each gesture one window in five, chosen by chance: validation; the rest: training
+//! people, sessions ─┬─ held out ─▶ test: all of their windows
+//!                   └─ others ───▶ of each gesture one window in five, chosen by chance: validation; the rest: training
 //! ```
 //! Neighbouring windows overlap, so those of one person must never be on both sides of the test: validation says
 //! how well a model learns, and only the test how well it does for somebody new.
@@ -39,7 +39,7 @@ pub enum Split {
     Training = 0,
     /// It shows when a model has learned enough.
     Validation = 1,
-    /// It tests a model, which has never seen its person.
+    /// It tests a model, which has never seen its person, or not in its session.
     Test = 2,
 }
 
@@ -55,7 +55,13 @@ impl Split {
 pub struct SplitEntry {
     /// People held out, in order.
     pub test_people: Vec<u16>,
-    /// All others, in order.
+    /// Sessions held out of all people, in order.
+    #[serde(default)]
+    pub test_sessions: Vec<String>,
+    /// What is held out, in words.
+    #[serde(default)]
+    pub held_out: String,
+    /// People of whom windows are for training, in order.
     pub train_people: Vec<u16>,
     /// [`VALIDATION_SHARE`].
     pub validation_share: f64,
@@ -109,6 +115,14 @@ pub enum SplitError {
         /// The people there are.
         known: Vec<u16>,
     },
+    /// A session to hold out that nobody has.
+    #[error("there is no session {session} to hold out: choose among {}", .known.join(", "))]
+    UnknownTestSession {
+        /// The session asked for.
+        session: String,
+        /// The sessions there are.
+        known: Vec<String>,
+    },
     /// Everybody is held out.
     #[error("all people ({}) are held out: leave at least one to train on", list_of(.known))]
     EverybodyHeldOut {
@@ -153,13 +167,41 @@ pub(crate) fn check_people(
     Ok(())
 }
 
+/// Refuses sessions to hold out that nobody has.
+pub(crate) fn check_sessions(test_sessions: &[String], recordings: &[Recording]) -> Result<(), SplitError> {
+    let known: BTreeSet<&String> = recordings.iter().map(|recording| &recording.session).collect();
+    match test_sessions.iter().find(|session| !known.contains(session)) {
+        Some(session) => Err(SplitError::UnknownTestSession {
+            session: session.clone(),
+            known: known.into_iter().cloned().collect(),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// What is held out, in words.
+fn held_out(test_people: &[u16], test_sessions: &[String]) -> String {
+    let sessions = || format!("session {} of people trained on", test_sessions.join(", "));
+    match (test_people, test_sessions) {
+        ([], []) => "nothing".to_owned(),
+        (people, []) => format!("people {}", list_of(people)),
+        ([], _) => sessions(),
+        (people, _) => format!("people {} and {}", list_of(people), sessions()),
+    }
+}
+
 /// What each window is for, in order.
-pub(crate) fn splits(recordings: &[RecordingEntry], test_people: &[u16], seed: u64) -> Vec<Split> {
+pub(crate) fn splits(
+    recordings: &[RecordingEntry],
+    test_people: &[u16],
+    test_sessions: &[String],
+    seed: u64,
+) -> Vec<Split> {
     let mut splits = Vec::new();
     let mut others: BTreeMap<Gesture, Vec<usize>> = BTreeMap::new();
     for entry in recordings {
         let windows = entry.windows as usize;
-        if test_people.contains(&entry.person) {
+        if test_people.contains(&entry.person) || test_sessions.contains(&entry.session) {
             splits.extend(std::iter::repeat_n(Split::Test, windows));
         } else {
             others.entry(entry.gesture).or_default().extend(splits.len()..splits.len() + windows);
@@ -190,12 +232,18 @@ pub(crate) fn entry_of(
     splits: &[Split],
     recordings: &[RecordingEntry],
     test_people: &[u16],
+    test_sessions: &[String],
     seed: u64,
 ) -> SplitEntry {
     let count = |wanted: Split| splits.iter().filter(|&&split| split == wanted).count() as u64;
     let test_people: BTreeSet<u16> = test_people.iter().copied().collect();
-    let people: BTreeSet<u16> = recordings.iter().map(|entry| entry.person).collect();
+    let trains = |entry: &&RecordingEntry| !test_sessions.contains(&entry.session);
+    let people: BTreeSet<u16> = recordings.iter().filter(trains).map(|entry| entry.person).collect();
+    let test_sessions: BTreeSet<String> = test_sessions.iter().cloned().collect();
+    let test_sessions: Vec<String> = test_sessions.into_iter().collect();
     SplitEntry {
+        held_out: held_out(&test_people.iter().copied().collect::<Vec<u16>>(), &test_sessions),
+        test_sessions,
         train_people: people.difference(&test_people).copied().collect(),
         test_people: test_people.into_iter().collect(),
         validation_share: VALIDATION_SHARE,

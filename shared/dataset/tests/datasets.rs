@@ -412,6 +412,43 @@ fn who_is_held_out_must_be_there_and_not_be_everybody() {
 }
 
 #[test]
+fn a_session_that_is_held_out_is_said_to_be_one_of_people_trained_on() {
+    let temporary = tempfile::tempdir().unwrap();
+    let recordings = temporary.path().join("recordings");
+    fs::create_dir(&recordings).unwrap();
+    let table = (0..4000).map(|sample| format!("{0},{0},{0},{0}\n", sample * 37 % 101)).collect::<String>();
+    for day in ["monday", "tuesday"] {
+        fs::write(recordings.join(format!("{day}.csv")), &table).unwrap();
+    }
+    let labels =
+        "file,person,session,repetition,gesture\nmonday.csv,1,monday,0,grip\ntuesday.csv,1,tuesday,0,grip\n";
+    fs::write(recordings.join("labels.csv"), labels).unwrap();
+    let settings = DatasetSettings {
+        channels: (0..4).map(Channel::Index).collect(),
+        recording_rate_hz: Some(1000.0),
+        ..DatasetSettings::default()
+    };
+    let out = temporary.path().join("out");
+    let build_without = |sessions: &[&str]| {
+        let test_sessions = sessions.iter().map(|session| (*session).to_owned()).collect();
+        let building = BuildSettings { test_sessions, ..BuildSettings::default() };
+        build(&settings, &building, &recordings, &out)
+    };
+    let manifest = build_without(&["tuesday"]).unwrap();
+    assert_eq!(manifest.split.held_out, "session tuesday of people trained on");
+    assert_eq!((&manifest.split.train_people[..], manifest.split.test_people.len()), (&[1][..], 0));
+    let stored = StoredDataset::open(&out).unwrap();
+    for index in 0..stored.len() {
+        let session = &manifest.recordings[stored.recording(index) as usize].session;
+        assert_eq!(stored.split(index) == Split::Test, session == "tuesday", "window {index}");
+    }
+    assert!(manifest.split.windows.test > 0 && manifest.split.windows.train > 0);
+    let message = |sessions: &[&str]| build_without(sessions).unwrap_err().to_string();
+    assert_eq!(message(&["friday"]), "there is no session friday to hold out: choose among monday, tuesday");
+    assert!(message(&["monday", "tuesday"]).contains("hold out fewer people or sessions"));
+}
+
+#[test]
 fn the_seed_chooses_the_windows_for_validation() {
     let temporary = tempfile::tempdir().unwrap();
     write_three_dc(&temporary.path().join("recordings"), &[1]);

@@ -20,6 +20,7 @@ mod sequence;
 mod strategies;
 mod strategy_scores;
 mod tally;
+mod unlabelled;
 mod windows;
 
 pub use confusion::{ClassScores, Confusion};
@@ -37,4 +38,5 @@ pub use strategies::{
 };
 pub use strategy_scores::{GestureWindows, RepetitionScores, StrategyScores, Times, in_words};
 pub use tally::{Answer, Group, Origin, Tally};
-pub use windows::{MemberError, PersonWindows, WindowOrigin};
+pub use unlabelled::{UnlabelledPerson, UnlabelledScores, UnlabelledSettings, score_unlabelled};
+pub use windows::{MemberError, PersonWindows, UnlabelledFitError, WindowOrigin};

@@ -16,7 +16,7 @@ use std::time::Instant;
 use serde::Serialize;
 use tendon_dataset::{DatasetSettings, Layout, ListingError, Recording, list, share_recordings};
 use tendon_features::{
-    Cohort, FeatureError, LaggedLogCovariance, MemberId, MethodSettings, Prior, PriorError,
+    Cohort, FeatureError, LaggedLogCovariance, MemberId, MethodSettings, Prior, PriorError, UnlabelledError,
 };
 use tendon_gesture::{Class, Gesture};
 use tendon_people::{CalibrationError, Made, Person, PersonName, PersonalRecogniser, RecogniseError};
@@ -81,6 +81,9 @@ pub enum PersonalError {
     /// Other people's windows make no prior.
     #[error(transparent)]
     Prior(#[from] PriorError),
+    /// Other people's windows do not show where gestures lie.
+    #[error(transparent)]
+    Unlabelled(#[from] UnlabelledError),
     /// A window cannot be recognised.
     #[error(transparent)]
     Recognise(#[from] RecogniseError),
@@ -90,13 +93,13 @@ pub enum PersonalError {
 }
 
 /// The recordings at or below some paths, by person.
-struct ByPerson {
-    layout: Layout,
-    people: BTreeMap<u16, Vec<Recording>>,
+pub(crate) struct ByPerson {
+    pub(crate) layout: Layout,
+    pub(crate) people: BTreeMap<u16, Vec<Recording>>,
 }
 
 impl ByPerson {
-    fn list(
+    pub(crate) fn list(
         settings: &DatasetSettings,
         paths: &[PathBuf],
         skipped: &mut Vec<String>,
@@ -110,7 +113,7 @@ impl ByPerson {
         Ok(ByPerson { layout: found.layout, people })
     }
 
-    fn id(&self, number: u16) -> MemberId {
+    pub(crate) fn id(&self, number: u16) -> MemberId {
         MemberId { data_set: self.layout.data_set().unwrap_or_default().to_owned(), number }
     }
 
@@ -226,11 +229,11 @@ pub fn score_people(
 
 /// What the people so far gave.
 #[derive(Default)]
-struct Scored {
-    people: BTreeSet<u16>,
-    expected: Vec<f64>,
-    longest_fit_s: f64,
-    fewest_others: Option<usize>,
+pub(crate) struct Scored {
+    pub(crate) people: BTreeSet<u16>,
+    pub(crate) expected: Vec<f64>,
+    pub(crate) longest_fit_s: f64,
+    pub(crate) fewest_others: Option<usize>,
     answers: Vec<GivenAnswer>,
 }
 
@@ -267,22 +270,27 @@ impl Scored {
         let name: PersonName = format!("person-{number}").parse().expect("letters, a dash and a number");
         let begun = Instant::now();
         let person = windows.fit(&calibrating, name, Made::default(), &settings.method, prior, &[])?;
-        self.longest_fit_s = self.longest_fit_s.max(begun.elapsed().as_secs_f64());
+        self.fitted(number, begun.elapsed().as_secs_f64(), prior, person.expected.accuracy);
+        Ok(self.windows(number, windows, &calibrating, &person)?)
+    }
+
+    /// Notes that somebody was fitted in so many seconds.
+    pub(crate) fn fitted(&mut self, number: u16, fit_s: f64, prior: Option<&Prior>, expected_accuracy: f64) {
+        self.longest_fit_s = self.longest_fit_s.max(fit_s);
         let others = prior.map_or(0, |prior| prior.people().len());
         self.fewest_others = Some(self.fewest_others.map_or(others, |fewest| fewest.min(others)));
         self.people.insert(number);
-        self.expected.push(person.expected.accuracy);
-        self.windows(number, windows, &calibrating, &person)
+        self.expected.push(expected_accuracy);
     }
 
     /// Scores the windows of the last session that did not calibrate.
-    fn windows(
+    pub(crate) fn windows(
         &mut self,
         number: u16,
         windows: &PersonWindows,
         calibrating: &[usize],
         person: &Person,
-    ) -> Result<(), PersonError> {
+    ) -> Result<(), RecogniseError> {
         let gestures = person.gesture_set();
         let mut recogniser = PersonalRecogniser::new(person, windows.signal().increment_samples)?;
         let last = windows.sessions().len().saturating_sub(1);
@@ -305,7 +313,7 @@ impl Scored {
     }
 
     /// All answers, over the gestures of all people.
-    fn tally(&self) -> Tally {
+    pub(crate) fn tally(&self) -> Tally {
         let made: BTreeSet<Gesture> = self
             .answers
             .iter()

@@ -35,6 +35,8 @@ pub struct Scores {
     pub people: BTreeSet<u16>,
     /// The data set in which they have these numbers, such as `3DC`; `None` for recordings of your own.
     pub data_set: Option<String>,
+    /// What the model has not seen of them, in words.
+    pub scored_on: String,
     /// What the model's training got on its validation windows, if the model says so.
     pub validation_accuracy: Option<f64>,
     /// Recordings that could not be used, and why.
@@ -122,7 +124,10 @@ pub fn score_dataset(
     classifier.check_fit(&source).map_err(ScoreError::Model)?;
     let known = dataset.manifest().windows_per_person.keys().copied().collect();
     let data_set = dataset.manifest().data_set.clone();
-    let people = chosen_people(&known, wanted, &people_trained(&classifier, data_set.as_deref()))?;
+    let recordings = dataset.manifest().recordings.clone();
+    let sessions = recordings.iter().map(|entry| (entry.person, entry.session.as_str()));
+    let trained = people_known(&classifier, data_set.as_deref(), sessions);
+    let people = chosen_people(&known, wanted, &trained)?;
     let mut scorer = Scorer::new(classifier, people, data_set);
     let windows = dataset.len();
     for index in 0..windows {
@@ -134,6 +139,7 @@ pub fn score_dataset(
             samples: dataset.window(index),
             gesture: dataset.gesture(index),
             person: dataset.person(index),
+            session: &recordings[dataset.recording(index) as usize].session,
             repetition: dataset.repetition(index),
             trial: TrialId { recording: 0, trial: dataset.recording(index) as usize },
         };
@@ -171,7 +177,9 @@ pub fn score_recordings(
     let found = list(&settings, paths)?;
     let known = found.recordings.iter().map(|recording| recording.person).collect();
     let data_set = found.layout.data_set();
-    let people = chosen_people(&known, wanted, &people_trained(&classifier, data_set))?;
+    let sessions = found.recordings.iter().map(|recording| (recording.person, recording.session.as_str()));
+    let trained = people_known(&classifier, data_set, sessions);
+    let people = chosen_people(&known, wanted, &trained)?;
     let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
     let recordings: Vec<Recording> =
         found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
@@ -206,9 +214,20 @@ fn settings_of(contract: &Contract, channels: &[usize]) -> DatasetSettings {
     }
 }
 
-/// Numbers of the people of `data_set` whom the model was, or may have been, trained on.
-fn people_trained(classifier: &Classifier, data_set: Option<&str>) -> BTreeSet<u16> {
-    classifier.contract().trained_on.people_of(data_set).iter().copied().collect()
+/// The people of `data_set` of whose `sessions` the model knows, or may know, all.
+fn people_known<'a>(
+    classifier: &Classifier,
+    data_set: Option<&str>,
+    sessions: impl Iterator<Item = (u16, &'a str)>,
+) -> BTreeSet<u16> {
+    let trained_on = &classifier.contract().trained_on;
+    let mut known: BTreeSet<u16> = trained_on.people_of(data_set).iter().copied().collect();
+    for (person, session) in sessions {
+        if !trained_on.knows(data_set, person, session) {
+            known.remove(&person);
+        }
+    }
+    known
 }
 
 /// A window to be scored.
@@ -217,6 +236,7 @@ struct Window<'a> {
     samples: &'a [f32],
     gesture: Gesture,
     person: u16,
+    session: &'a str,
     repetition: u8,
     trial: TrialId,
 }
@@ -240,7 +260,10 @@ impl Scorer {
     }
 
     fn take(&mut self, window: &Window<'_>) -> Result<(), ClassifierError> {
-        if !self.people.contains(&window.person) {
+        let trained_on = &self.classifier.contract().trained_on;
+        if !self.people.contains(&window.person)
+            || trained_on.knows(self.data_set.as_deref(), window.person, window.session)
+        {
             return Ok(());
         }
         let Some(truth) = self.tally.class_of(window.gesture) else { return Ok(()) };
@@ -268,6 +291,7 @@ impl Scorer {
                     samples: window.samples,
                     gesture: window.gesture,
                     person: window.person,
+                    session: &recording.session,
                     repetition: window.repetition,
                     trial: TrialId { recording: index, trial: window.trial },
                 });
@@ -279,6 +303,25 @@ impl Scorer {
             self.tally = before;
         }
         Ok(cut)
+    }
+
+    /// What the model has not seen of the people scored, in words.
+    fn scored_on(&self) -> String {
+        let trained_on = &self.classifier.contract().trained_on;
+        let is_trained = |person: &u16| trained_on.people_of(self.data_set.as_deref()).contains(person);
+        let trained = self.people.iter().filter(|person| is_trained(person)).count();
+        let sessions = trained_on.held_out_sessions.join(", ");
+        if trained_on.people.is_empty() {
+            "people, of whom the model does not say whether it was trained on them".to_owned()
+        } else if trained == 0 {
+            "people whom the model was not trained on".to_owned()
+        } else if trained == self.people.len() {
+            format!("session {sessions} of people whom the model was trained on, in other sessions")
+        } else {
+            format!(
+                "people whom the model was not trained on, and session {sessions} of others, whom it was trained on"
+            )
+        }
     }
 
     fn finish(
@@ -298,6 +341,7 @@ impl Scorer {
             return Err(ScoreError::NoWindows { path, classes: evaluation.classes.join(", "), reasons });
         }
         let scores = Scores {
+            scored_on: self.scored_on(),
             model: self.classifier.path().display().to_string(),
             paths: paths.iter().map(|path| path.display().to_string()).collect(),
             people: self.people,

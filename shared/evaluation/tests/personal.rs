@@ -6,7 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use tendon_dataset::DatasetSettings;
-use tendon_evaluation::{PersonalError, PersonalScores, PersonalSettings, score_people};
+use tendon_evaluation::{
+    PersonalError, PersonalScores, PersonalSettings, UnlabelledSettings, score_people, score_unlabelled,
+};
 use tendon_features::MethodSettings;
 use tendon_gesture::Gesture;
 use tendon_recordings::Channel;
@@ -137,6 +139,37 @@ fn who_cannot_be_calibrated_is_left_out_with_the_reason() {
     recorder.record(2, 1, 1, &Gesture::PAPER_ACTIVE);
     let error = recorder.score(1).unwrap_err().to_string();
     assert!(error.contains("nobody can be calibrated") && error.contains("person 2"), "{error}");
+}
+
+/// One repetition of the six gestures lasts 12 s.
+#[test]
+fn without_labels_a_stretch_of_use_calibrates_what_others_made_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut recorder = Recorder::new(folder.path());
+    for person in 1..=4 {
+        recorder.record(person, 1, 2, &Gesture::PAPER);
+        recorder.record(person, 2, 1, &Gesture::PAPER);
+    }
+    fs::write(folder.path().join("labels.csv"), &recorder.labels).unwrap();
+    let paths = [folder.path().to_owned()];
+    let PersonalSettings { dataset, method, .. } = settings(1);
+    let settings = UnlabelledSettings { dataset, method, stretch_s: 12.0 };
+
+    let (scores, _) = score_unlabelled(&paths, &settings, &[2], &mut |_, _| {}).unwrap();
+    assert_eq!((scores.scores.people.clone(), scores.scores.prior_people), ([2].into(), 3));
+    assert_eq!(scores.scores.evaluation.windows, 6 * 23, "the last session");
+    assert!(scores.scores.evaluation.accuracy > 0.95, "{}", scores.scores.evaluation);
+    let [person] = &scores.unlabelled[..] else { panic!("one person") };
+    assert!(person.right_labels > 0.9 && person.sureness > 0.5, "{person:?}");
+    assert_eq!(person.all_stretches.len(), 3, "two in the first session, one in the second");
+
+    let (scores, _) = score_unlabelled(&paths, &settings, &[1, 2], &mut |_, _| {}).unwrap();
+    assert_eq!(scores.scores.prior_people, 2, "nobody who is scored tells of others");
+    let everybody = score_unlabelled(&paths, &settings, &[1, 2, 3], &mut |_, _| {}).unwrap_err().to_string();
+    assert!(everybody.contains("too few"), "{everybody}");
+    let short = UnlabelledSettings { stretch_s: 2.0, ..settings };
+    let error = score_unlabelled(&paths, &short, &[2], &mut |_, _| {}).unwrap_err().to_string();
+    assert!(error.contains("person 2") && error.contains("too few to find 6 gestures"), "{error}");
 }
 
 /// The bars of the personal recogniser are far above this; three people make a poor prior.

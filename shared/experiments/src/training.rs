@@ -193,6 +193,8 @@ mod tests {
             onsets: BTreeMap::new(),
             split: SplitEntry {
                 test_people: test_people.to_vec(),
+                test_sessions: Vec::new(),
+                held_out: String::new(),
                 train_people: train_people.to_vec(),
                 validation_share: 0.2,
                 seed: 0,

@@ -142,6 +142,19 @@ impl LaggedLogCovariance {
         self.channels * self.delays.len()
     }
 
+    /// Mean over channels and delays of the logarithm of the variance, more exactly of the diagonal of the logarithm of
+    /// the covariance, from a window's features: how strong the signal is.
+    pub fn mean_log_variance(&self, features: &[f64]) -> f64 {
+        let rows = self.rows();
+        let mut at = 0;
+        let mut sum = 0.0;
+        for row in 0..rows {
+            sum += features.get(at).copied().unwrap_or(f64::NAN);
+            at += rows - row;
+        }
+        sum / rows as f64
+    }
+
     /// The delays that are used, in ms as set.
     pub fn delays_ms(&self) -> &[f64] {
         &self.delays_ms

@@ -250,3 +250,44 @@ pub enum PriorError {
     #[error(transparent)]
     Training(#[from] FitError),
 }
+
+/// Why nothing can be recognised without labels.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum UnlabelledError {
+    /// Too few people to say how people differ.
+    #[error("{0} other people are too few to recognise a person without labels: two or more are needed")]
+    TooFewPeople(usize),
+    /// There is no gesture that all made.
+    #[error("the other people have no gesture in common beside rest: leave out who made others")]
+    NothingInCommon,
+    /// Not everybody recorded the arm at rest.
+    #[error("not all other people recorded rest, by which a person without labels is recognised")]
+    NoRest,
+    /// All orders of the gestures would be too many.
+    #[error("{gestures} gestures are too many to be told apart without labels: at most {most}, with rest")]
+    TooManyGestures {
+        /// Gestures of the other people.
+        gestures: usize,
+        /// The most that are supported.
+        most: usize,
+    },
+    /// Fewer windows of other people than the covariance needs.
+    #[error("{windows} windows of other people are too few for windows of {length} features")]
+    TooFewWindows {
+        /// Windows that were given.
+        windows: usize,
+        /// Features of a window.
+        length: usize,
+    },
+    /// The stream is too short to hold all gestures.
+    #[error("{windows} windows are too few to find {gestures} gestures in: record for longer")]
+    StreamTooShort {
+        /// Windows of the stream.
+        windows: usize,
+        /// Gestures to be found.
+        gestures: usize,
+    },
+    /// The windows do not fit.
+    #[error(transparent)]
+    Windows(#[from] FitError),
+}

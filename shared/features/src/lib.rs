@@ -8,6 +8,8 @@
 //!                                  CrossValidation ─▶ temperature, limit of distance       └─▶ distance
 //! ```
 //!
+//! Without labels, [`GestureMap`] finds the gestures in a stream from where other people's lie.
+//!
 //! Everything here is pure: no clock, no topic, no file. Every constant of the method is in
 //! [`MethodSettings`]. Features depend on no unit of the samples as long as the floor is taken from the
 //! person's rest ([`rest_floor`]). Nothing that runs per window allocates.
@@ -30,7 +32,9 @@
 //! What it recognises, and what was tried, is in `docs/decisions/personal-recogniser.md`.
 #![forbid(unsafe_code)]
 
+mod assignment;
 mod cache;
+mod clustering;
 mod cohort;
 mod covariance;
 mod cross_validation;
@@ -44,15 +48,17 @@ mod prior;
 mod settings;
 mod shrinkage;
 mod training;
+mod unlabelled;
 
 pub use cohort::{Cohort, MemberId};
 pub use covariance::{LaggedLogCovariance, rest_floor};
 pub use cross_validation::CrossValidation;
 pub use discriminant::Discriminant;
-pub use error::{FeatureError, FitError, PriorError};
+pub use error::{FeatureError, FitError, PriorError, UnlabelledError};
 pub use new_repetitions::recognised_in_new_repetitions;
 pub use population::{GestureMeans, Population};
 pub use prior::{FeatureLayout, Prior, WithinClassScatter};
 pub use settings::MethodSettings;
 pub use shrinkage::{Shrunk, ledoit_wolf};
 pub use training::{Class, Training};
+pub use unlabelled::{GestureMap, PlacedGestures, Recognised};

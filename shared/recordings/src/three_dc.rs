@@ -21,6 +21,9 @@ pub const DATA_SET: &str = "3DC";
 /// Sampling rate of all 3DC recordings, in Hz.
 pub const SAMPLE_RATE_HZ: f64 = 1000.0;
 
+/// Electrodes of the armband, evenly around the arm: the channels of a recording, in order.
+pub const ELECTRODES: usize = 10;
+
 /// Gestures of a repetition, numbered from 0.
 pub(crate) const GESTURES: u32 = 11;
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::bail;
 use serde::Serialize;
-use tendon_dataset::StoredDataset;
+use tendon_dataset::{DatasetSettings, StoredDataset};
 use tendon_evaluation::{PersonalError, PersonalScores, PersonalSettings, score_people};
 use tendon_figures::write_score_figures;
 use tendon_output::{OutputFile, OutputFolder, collect};
@@ -40,7 +40,13 @@ pub fn evaluate(
     let scored = score_people(&options.paths, &settings, &options.people, shipped.as_ref(), &mut progress);
     works.clear();
     let (scores, tally) = scored.map_err(failure)?;
-    let provenance = provenance(options, &settings, begun).map_err(Failure::running)?;
+    let configuration = serde_json::json!({
+        "people": options.people,
+        "dataset": settings.dataset,
+        "method": settings.method,
+        "calibrate_repetitions": settings.repetitions,
+    });
+    let provenance = provenance(options, &configuration, begun).map_err(Failure::running)?;
     let content = ScoresWithProvenance { scores: &scores, provenance };
     let json = json.iter().map(|file| file.write_json(&content));
     let drawn =
@@ -50,48 +56,46 @@ pub fn evaluate(
 }
 
 fn settings(options: &Options, repetitions: u32) -> anyhow::Result<PersonalSettings> {
+    let dataset = dataset(options, "--calibrate-repetitions")?;
+    Ok(PersonalSettings { dataset, method: Default::default(), repetitions })
+}
+
+/// How the recordings are cut to calibrate on, as `option` asks for.
+pub(super) fn dataset(options: &Options, option: &str) -> anyhow::Result<DatasetSettings> {
     if let Some(data_set) = options.paths.iter().find(|path| StoredDataset::is_one(path)) {
         bail!(
-            "--calibrate-repetitions needs recordings, and {} is a data set: give the recordings that it was made from",
+            "{option} needs recordings, and {} is a data set: give the recordings that it was made from",
             data_set.display()
         );
     }
     let config = options.base.configuration_of("tendon evaluate", &WINDOW_KEYS)?;
-    Ok(PersonalSettings {
-        dataset: dataset_settings(&config, &options.channels(), options.recording_rate_hz),
-        method: Default::default(),
-        repetitions,
-    })
+    Ok(dataset_settings(&config, &options.channels(), options.recording_rate_hz))
 }
 
-fn provenance(
+/// What was scored on what, where somebody gets to read it.
+pub(super) fn provenance(
     options: &Options,
-    settings: &PersonalSettings,
+    configuration: &serde_json::Value,
     begun: Provenance,
 ) -> anyhow::Result<Provenance> {
     if options.json.is_none() {
         return Ok(begun);
     }
-    let configuration = serde_json::json!({
-        "people": options.people,
-        "dataset": settings.dataset,
-        "method": settings.method,
-        "calibrate_repetitions": settings.repetitions,
-    });
-    Ok(begun.with_configuration(&configuration)?.with_recording(&options.paths)?)
+    Ok(begun.with_configuration(configuration)?.with_recording(&options.paths)?)
 }
 
-fn failure(error: PersonalError) -> Failure {
+pub(super) fn failure(error: PersonalError) -> Failure {
     match error {
         PersonalError::Recognise(_) | PersonalError::Prior(_) => Failure::running(error),
         PersonalError::Listing(_)
         | PersonalError::People(_)
         | PersonalError::Features(_)
+        | PersonalError::Unlabelled(_)
         | PersonalError::Nobody(_) => Failure::input(error),
     }
 }
 
-fn text(options: &Options, scores: &PersonalScores) -> String {
+pub(super) fn text(options: &Options, scores: &PersonalScores) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
     let mut text = format!("people {}\n", people.join(", "));
     text += &format!("calibrated on {}\nscored on {}\n", scores.calibrated_on, scores.scored_on);
