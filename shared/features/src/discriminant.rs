@@ -16,12 +16,16 @@
 use nalgebra::{Cholesky, DMatrix};
 use serde::{Deserialize, Serialize};
 
-use crate::eigen::dot;
+use crate::eigen::{add_scaled, dot};
 use crate::error::FitError;
 use crate::prior::Prior;
 use crate::settings::MethodSettings;
 use crate::shrinkage::{Shrunk, ledoit_wolf};
 use crate::training::{Class, Training};
+
+/// How much of its own step a class takes that goes beyond the step of all, when everything has moved: a few seconds show the
+/// common step better than that of each class.
+const OWN_STEP: f64 = 0.5;
 
 /// Tells the gestures of one person apart. Allocates in [`fit`](Self::fit) only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -102,6 +106,101 @@ impl Discriminant {
         self.checked()
     }
 
+    /// The same discriminant where everything lies elsewhere by the same step, as after the electrodes were put on again. The
+    /// step is the mean, over the classes that `windows` are of, from each class's mean to that of its windows, which come as
+    /// the number of their class and their features.
+    ///
+    /// # Errors
+    ///
+    /// There are no windows, one has the wrong length, or a feature is not finite.
+    pub fn moved_to<'a>(
+        mut self,
+        windows: impl Iterator<Item = (usize, &'a [f64])>,
+    ) -> Result<Discriminant, FitError> {
+        let count = self.feature_count;
+        let classes = self.classes.len();
+        let mut sums = vec![vec![0.0; count]; classes];
+        let mut counts = vec![0_u32; classes];
+        for (class, features) in windows.filter(|(class, _)| *class < classes) {
+            check_length("features", features.len(), count)?;
+            sums[class].iter_mut().zip(features).for_each(|(sum, feature)| *sum += feature);
+            counts[class] += 1;
+        }
+        let mut made: Vec<(usize, Vec<f64>)> = Vec::new();
+        for (class, (sum, windows)) in sums.iter().zip(&counts).enumerate().filter(|(_, (_, n))| **n > 0) {
+            let mean: Vec<f64> = sum.iter().map(|sum| sum / f64::from(*windows)).collect();
+            let mut apart = vec![0.0; count];
+            self.whiten(&mean, &mut apart);
+            let own = &self.whitened_means[class * count..][..count];
+            apart.iter_mut().zip(own).for_each(|(apart, own)| *apart -= own);
+            made.push((class, apart));
+        }
+        if made.is_empty() {
+            return Err(FitError::TooFewClasses(0));
+        }
+        let mut step = vec![0.0; count];
+        for (_, apart) in &made {
+            add_scaled(&mut step, 1.0 / made.len() as f64, apart);
+        }
+        let shares_ln = self.shares_ln();
+        for mean in self.whitened_means.chunks_exact_mut(count) {
+            add_scaled(mean, 1.0, &step);
+        }
+        for (class, apart) in &made {
+            let mean = &mut self.whitened_means[class * count..][..count];
+            add_scaled(mean, OWN_STEP, apart);
+            add_scaled(mean, -OWN_STEP, &step);
+        }
+        self.lay_anew(&shares_ln);
+        self.checked()
+    }
+
+    /// The mean of the whitened means.
+    fn whitened_middle(&self) -> Vec<f64> {
+        let mut middle = vec![0.0; self.feature_count];
+        for mean in self.whitened_means.chunks_exact(self.feature_count) {
+            add_scaled(&mut middle, 1.0 / self.classes.len() as f64, mean);
+        }
+        middle
+    }
+
+    /// The logarithm of every class's share, from its bias.
+    fn shares_ln(&self) -> Vec<f64> {
+        let middle = self.whitened_middle();
+        let means = self.whitened_means.chunks_exact(self.feature_count);
+        self.biases.iter().zip(means).map(|(bias, mean)| bias - bias_of(mean, &middle)).collect()
+    }
+
+    /// Weights and biases for the whitened means.
+    fn lay_anew(&mut self, shares_ln: &[f64]) {
+        let (count, middle) = (self.feature_count, self.whitened_middle());
+        for (class, mean) in self.whitened_means.chunks_exact(count).enumerate() {
+            self.biases[class] = shares_ln[class] + bias_of(mean, &middle);
+            let weights = &mut self.weights[class * count..][..count];
+            weights
+                .iter_mut()
+                .zip(mean.iter().zip(&middle))
+                .for_each(|(weight, (mean, m))| *weight = mean - m);
+            // L transposed, from its last row up.
+            for row in (0..count).rev() {
+                let line = &self.factor[row * (row + 1) / 2..][..=row];
+                weights[row] /= line[row];
+                let weight = weights[row];
+                add_scaled(&mut weights[..row], -weight, &line[..row]);
+            }
+        }
+    }
+
+    /// L⁻¹ times the features.
+    fn whiten(&self, features: &[f64], whitened: &mut [f64]) {
+        let mut at = 0;
+        for (row, feature) in features.iter().enumerate() {
+            let line = &self.factor[at..=at + row];
+            whitened[row] = (feature - dot(&line[..row], &whitened[..row])) / line[row];
+            at += row + 1;
+        }
+    }
+
     /// The classes, in the order of scores and posterior.
     pub fn classes(&self) -> &[Class] {
         &self.classes
@@ -175,12 +274,7 @@ impl Discriminant {
     pub fn distance(&self, features: &[f64], whitened: &mut [f64]) -> Result<f64, FitError> {
         check_length("features", features.len(), self.feature_count)?;
         check_length("whitened", whitened.len(), self.feature_count)?;
-        let mut at = 0;
-        for (row, feature) in features.iter().enumerate() {
-            let line = &self.factor[at..=at + row];
-            whitened[row] = (feature - dot(&line[..row], &whitened[..row])) / line[row];
-            at += row + 1;
-        }
+        self.whiten(features, whitened);
         let squared = |mean: &[f64]| -> f64 {
             mean.iter().zip(&*whitened).map(|(mean, value)| (value - mean).powi(2)).sum()
         };
@@ -302,6 +396,13 @@ fn of_means(
         whitened_means: whitened_means.as_slice().to_vec(),
     }
     .checked()
+}
+
+/// The bias of a class without its share; means are whitened.
+fn bias_of(mean: &[f64], middle: &[f64]) -> f64 {
+    let apart = || mean.iter().zip(middle).map(|(mean, middle)| mean - middle);
+    let along: f64 = apart().zip(middle).map(|(apart, middle)| apart * middle).sum();
+    -along - 0.5 * apart().map(|apart| apart * apart).sum::<f64>()
 }
 
 fn check_length(what: &'static str, given: usize, needed: usize) -> Result<(), FitError> {

@@ -330,3 +330,31 @@ fn in_repetitions_that_differ_more_than_gestures_do_less_is_recognised() {
     assert!(alike > 0.95 && different < 0.9, "{alike} {different}");
     assert_eq!(different, recognised(2.0), "the same every time");
 }
+
+#[test]
+fn a_discriminant_follows_a_step_that_all_classes_take() {
+    let session = Session::new(600, 3);
+    let fitted = Discriminant::fit(&session.training(), None, &MethodSettings::default()).unwrap();
+    let step = [2.0, -1.5, 0.7];
+    let moved: Vec<f64> =
+        session.features.iter().zip(step.iter().cycle()).map(|(x, step)| x + step).collect();
+    let windows = || session.labels.iter().copied().zip(moved.chunks_exact(3));
+    let followed = fitted.clone().moved_to(windows()).unwrap();
+    let (mut before, mut after) = (vec![0.0; 3], vec![0.0; 3]);
+    for (old, new) in session.features.chunks_exact(3).zip(moved.chunks_exact(3)) {
+        fitted.posterior(old, &mut before).unwrap();
+        followed.posterior(new, &mut after).unwrap();
+        assert!(before.iter().zip(&after).all(|(before, after)| (before - after).abs() < 1e-9));
+    }
+    // Nothing moves if nothing has.
+    let same = fitted.clone().moved_to(session.labels.iter().copied().zip(session.features.chunks_exact(3)));
+    let mut again = vec![0.0; 3];
+    same.unwrap().posterior(&session.features[..3], &mut again).unwrap();
+    fitted.posterior(&session.features[..3], &mut before).unwrap();
+    assert!(before.iter().zip(&again).all(|(before, again)| (before - again).abs() < 1e-9));
+    // One class is enough to see the step of all.
+    let rest = windows().filter(|(class, _)| *class == 0);
+    fitted.clone().moved_to(rest).unwrap().posterior(&moved[3..6], &mut after).unwrap();
+    assert!(after[1] > 0.9, "{after:?}");
+    assert!(matches!(fitted.moved_to(std::iter::empty()), Err(FitError::TooFewClasses(0))));
+}

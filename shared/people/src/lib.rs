@@ -21,6 +21,7 @@ mod person;
 mod quality;
 mod recogniser;
 mod store;
+mod update;
 
 pub use calibration::{Calibration, CalibrationError};
 pub use effort::EffortRange;

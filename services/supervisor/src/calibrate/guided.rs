@@ -6,15 +6,17 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::channel;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use tendon_config::{Config, Gestures, Source};
+use tendon_dataset::list;
+use tendon_evaluation::PersonWindows;
 use tendon_gesture::Gesture;
 use tendon_guide::{Guide, GuideSettings};
 use tendon_output::OutputFile;
-use tendon_people::{People, PersonName};
+use tendon_people::{People, Person, PersonName};
 use tendon_provenance::Provenance;
 use tendon_recordings::{RecordedSession, Recorder, SimulatedFrom};
 use tendon_session::{AcquisitionWatch, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
@@ -24,11 +26,18 @@ use super::check::{self, CheckScores};
 use super::round::{Live, RoundEnd};
 use super::{Fitted, Selection, fit, report};
 use crate::options::duration;
-use crate::personal::personal_windows;
+use crate::personal::{personal_windows, recorded_settings};
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// Folder of a person's recordings in that of the person.
 const RECORDINGS: &str = "recordings";
+/// What the folder of an update ends with.
+const UPDATE: &str = "-update";
+/// Of an update: how long a gesture is held, and how long the rest before it is, s.
+const UPDATE_HOLD_S: f64 = 1.5;
+const UPDATE_PAUSE_S: f64 = 1.5;
+/// Rest at the beginning of an update, s.
+const UPDATE_REST_S: f64 = 3.0;
 /// What the keys do.
 const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
 
@@ -41,6 +50,10 @@ pub struct GuidedOptions {
     /// Ask for this gesture alone, in place of what the newest recording has of it.
     #[arg(long, value_name = "GESTURE", conflicts_with_all = ["from", "gestures"])]
     redo: Option<Gesture>,
+    /// Correct the person for a new day or electrodes that sit a little differently: a few seconds of rest and of each
+    /// gesture move the person by the step that they show.
+    #[arg(long, conflicts_with_all = ["from", "gestures", "repetitions", "redo", "replace"])]
+    update: bool,
     /// How long to rest at the beginning [default: 5s].
     #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
     rest: Option<Duration>,
@@ -61,23 +74,30 @@ pub fn calibrate(
 ) -> Result<(), Failure> {
     let name = &options.name;
     let is_redo = options.guided.redo.is_some();
-    if !options.replace && !is_redo {
+    let updated = options.guided.update.then(|| people.find(name)).transpose().map_err(Failure::input)?;
+    if !options.replace && !is_redo && updated.is_none() {
         people.check_new(name).map_err(Failure::input)?;
     }
-    let config = configuration(options).map_err(Failure::input)?;
-    let guide = guide_settings(options, &config).map_err(Failure::input)?;
+    let mut config = configuration(options).map_err(Failure::input)?;
+    if let Some(person) = &updated {
+        config.dsp.windows.window_samples = person.signal.window_samples;
+        check_signal(person, &config).map_err(Failure::input)?;
+    }
+    let guide = guide_settings(options, &config, updated.as_ref()).map_err(Failure::input)?;
     let source = checks::source(&config).map_err(Failure::input)?;
     let recorder = if is_redo {
         Recorder::resume(&newest_recording(people, name).map_err(Failure::input)?)
     } else {
-        let folder = recordings_of(people, name).join(file_name(&begun.started_at));
+        let ending = if updated.is_some() { UPDATE } else { "" };
+        let folder = recordings_of(people, name).join(file_name(&begun.started_at) + ending);
         let session = recorded_session(name, &config, &source, &begun).map_err(Failure::input)?;
         Recorder::create(&folder, session)
     };
     let recorder = recorder.map_err(Failure::input)?;
     check_fits(&recorder, &config).map_err(Failure::input)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
-    let calibration = Calibration { options, people, config: &config, guide, begun };
+    let updated = updated.as_ref();
+    let calibration = Calibration { options, people, config: &config, guide, begun, updated };
     let channels = recorder.session().channels.clone();
     let learnt = with_source(&config, &channels, &errors, |live| calibration.follow(live, recorder, &errors));
     errors.end_live();
@@ -95,6 +115,8 @@ struct Calibration<'a> {
     config: &'a Config,
     guide: GuideSettings,
     begun: Provenance,
+    /// The person who is to be updated.
+    updated: Option<&'a Person>,
 }
 
 /// What came of it.
@@ -131,7 +153,10 @@ impl Calibration<'_> {
         let begun = self.begun.with_recording(&paths).map_err(Failure::running)?;
         let clipped_shares = live.clipped_shares();
         let selection = Selection { paths: &paths, repetitions: None, gestures: &[] };
-        let fitted = live.meanwhile(|| fit(options, config, &selection, &clipped_shares, &begun))?;
+        let fitted = live.meanwhile(|| match self.updated {
+            Some(person) => update(person, config, &folder, &begun),
+            None => fit(options, config, &selection, &clipped_shares, &begun),
+        })?;
         let fitted = fitted
             .with_context(|| format!("the recording stays in {}", folder.display()))
             .map_err(Failure::running)?;
@@ -167,12 +192,25 @@ fn configuration(options: &super::Options) -> anyhow::Result<Config> {
 }
 
 /// What is asked.
-fn guide_settings(options: &super::Options, config: &Config) -> anyhow::Result<GuideSettings> {
-    let default = GuideSettings::default();
+fn guide_settings(
+    options: &super::Options,
+    config: &Config,
+    updated: Option<&Person>,
+) -> anyhow::Result<GuideSettings> {
+    let mut default = GuideSettings::default();
+    if updated.is_some() {
+        default = GuideSettings {
+            rest_s: UPDATE_REST_S,
+            hold_s: UPDATE_HOLD_S,
+            pause_s: UPDATE_PAUSE_S,
+            ..default
+        };
+    }
     let guided = &options.guided;
+    let known = updated.map_or_else(|| config.decision.gestures.clone(), Person::gesture_set);
     let gestures = match (guided.redo, &options.gestures[..]) {
         (Some(gesture), _) => vec![gesture],
-        (None, []) => config.decision.gestures.iter().filter(|gesture| *gesture != Gesture::REST).collect(),
+        (None, []) => known.iter().filter(|gesture| *gesture != Gesture::REST).collect(),
         (None, gestures) => {
             gestures.iter().copied().filter(|gesture| *gesture != Gesture::REST).collect::<Vec<_>>()
         }
@@ -193,6 +231,36 @@ fn guide_settings(options: &super::Options, config: &Config) -> anyhow::Result<G
         }
     }
     Ok(settings)
+}
+
+/// An update needs the signal of the calibration.
+fn check_signal(person: &Person, config: &Config) -> anyhow::Result<()> {
+    let signal = &person.signal;
+    let (channels, rate_hz) = (config.acquisition.channels, config.acquisition.sample_rate_hz);
+    let is_same_filter = signal.filter.as_ref().is_none_or(|filter| *filter == config.dsp.filter);
+    ensure!(
+        signal.channels.len() == channels && signal.sample_rate_hz == rate_hz && is_same_filter,
+        "{} was calibrated with {} channels at {} Hz, this session has {channels} at {rate_hz} Hz, or another filter: use \
+         the same configuration",
+        person.name,
+        signal.channels.len(),
+        signal.sample_rate_hz
+    );
+    Ok(())
+}
+
+/// Moves the person by what the recording in `folder` shows.
+fn update(person: &Person, config: &Config, folder: &Path, begun: &Provenance) -> anyhow::Result<Fitted> {
+    let recorded = RecordedSession::read(folder)?.context("the recording's description is gone")?;
+    let settings = recorded_settings(config, &recorded);
+    let found = list(&settings, &[folder.to_owned()])?;
+    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let windows = PersonWindows::read(&settings, &found.recordings, &mut skipped);
+    let begin = Instant::now();
+    let made = windows.origins().iter().enumerate();
+    let made = made.map(|(window, origin)| (origin.gesture, windows.window(window)));
+    let person = person.updated(made, &begun.started_at)?;
+    Ok(Fitted { person, fit_s: begin.elapsed().as_secs_f64(), skipped })
 }
 
 /// What is recorded.
@@ -253,7 +321,9 @@ fn file_name(time: &str) -> String {
 fn newest_recording(people: &People, name: &PersonName) -> anyhow::Result<PathBuf> {
     let folder = recordings_of(people, name);
     let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let recordings = entries.filter(|path| !check::is_check(path) && RecordedSession::read(path).is_ok());
+    let is_update = |path: &Path| path.to_str().is_none_or(|path| path.ends_with(UPDATE));
+    let is_calibration = |path: &PathBuf| !check::is_check(path) && !is_update(path);
+    let recordings = entries.filter(|path| is_calibration(path) && RecordedSession::read(path).is_ok());
     recordings.max().ok_or_else(|| {
         anyhow!("{name} has no recording in {}: calibrate first, without --redo", folder.display())
     })
