@@ -31,7 +31,7 @@ pub struct WindowOrigin {
     pub session: usize,
     /// Repetition counted through all sessions.
     pub repetition_of_all: u8,
-    /// It begins within [`ENTRY_MS`] of the onset of its movement.
+    /// It begins within half a second of the onset of its movement.
     pub is_entry: bool,
     /// First sample after it, in the session's trials one after the other.
     pub end_sample: u64,
