@@ -393,7 +393,7 @@ fn options_that_would_have_no_effect() {
     let from_file = ["run", "--set", "acquisition.source=replay", "--set", "acquisition.replay.path=emg.csv"];
     let scripted = [&from_file[..], &["--script", "rest 6s"]].concat();
     let build = ["dataset", "build", table, "--out", "windows"];
-    let cases: [(&[&str], [&str; 3]); 14] = [
+    let cases: [(&[&str], [&str; 3]); 16] = [
         (&replay, ["--seed", "--replay", "leave one of the two out"]),
         (&scripted, ["--script", "acquisition.source is \"replay\"", "leave --script out"]),
         (
@@ -407,6 +407,14 @@ fn options_that_would_have_no_effect() {
         (
             &["strategies", table, "--strategy", "direct", "--rest-move-model", five],
             ["--rest-move-model", "--strategy direct", "leave one of the two out"],
+        ),
+        (
+            &["run", "--set", "inference.adaptation=slow"],
+            ["inference.adaptation = \"slow\"", "add --person NAME", "set inference.adaptation to \"off\""],
+        ),
+        (
+            &["strategies", table, "--strategy", "direct", "--set", "inference.adaptation=slow"],
+            ["--set inference.adaptation", "--strategy direct", "leave one of the two out"],
         ),
         (
             &["strategies", table, "--set", "robot.backend=xarm"],

@@ -35,7 +35,8 @@ fn main() -> ExitCode {
             rest_move_model: config.inference.rest_move_model.as_deref(),
             person: config.inference.person.as_deref(),
         };
-        let mut recogniser = Recogniser::open(&config.decision, &config.dsp.windows, &files)?;
+        let recogniser = Recogniser::open(&config.decision, &config.dsp.windows, &files)?;
+        let mut recogniser = recogniser.with_adaptation(config.inference.adaptation)?;
         let acquisition = &config.acquisition;
         recogniser.check_fit(&WindowSource::of_chain(
             "the session",
@@ -166,6 +167,10 @@ impl Consumer<WindowHeader, f32> for Inference {
             second.copy_from_slice(efforts);
         })?;
         process.measurements.counts.published = self.predictions.published();
+        // Only now, so that no prediction waits for it.
+        if header.context.replaced_samples == 0 {
+            self.recogniser.adapt();
+        }
         Ok(process.measure(&trace, Some(published_ns)))
     }
 

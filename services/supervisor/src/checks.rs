@@ -82,7 +82,8 @@ pub fn models(config: &Config) -> anyhow::Result<String> {
         rest_move_model: inference.rest_move_model.as_deref(),
         person: inference.person.as_deref(),
     };
-    let recogniser = Recogniser::open(decision, &dsp.windows, &files)?;
+    let recogniser =
+        Recogniser::open(decision, &dsp.windows, &files)?.with_adaptation(inference.adaptation)?;
     let (channels, rate_hz) = (acquisition.channels, acquisition.sample_rate_hz);
     recogniser.check_fit(&WindowSource::of_chain("the session", channels, rate_hz, dsp))?;
     let models: Vec<String> = recogniser.models().iter().map(|path| path.display().to_string()).collect();

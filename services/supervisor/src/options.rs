@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
+use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
 use tendon_transport::{Delivery, SessionName, own_user};
@@ -175,6 +176,9 @@ impl Options {
         }
         let person = self.person.as_deref().map(|person| set_person(person, &self.base, &mut config));
         let person = person.transpose()?;
+        if config.inference.adaptation != Adaptation::Off && config.decision.strategy != Strategy::Personal {
+            return Err(ClassifierError::OnlyPersonsAdapt.into());
+        }
         if let Some(realtime) = self.realtime {
             config.scheduling.realtime = realtime;
         }

@@ -52,7 +52,7 @@ pub struct Options {
     /// Sampling rate of recordings that do not state it, Hz.
     #[arg(long, value_name = "HZ")]
     recording_rate_hz: Option<f64>,
-    /// Configuration file with the settings of dsp and decision. By default, the default settings.
+    /// Configuration file with the settings of dsp, decision and adaptation. By default, the default settings.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Change one setting, such as decision.vote_windows=5; may be repeated.
@@ -76,7 +76,8 @@ pub struct Options {
 }
 
 /// Keys of the configuration that scores depend on.
-const KEYS: [&str; 4] = ["acquisition.channels", "acquisition.sample_rate_hz", "dsp", "decision"];
+const KEYS: [&str; 5] =
+    ["acquisition.channels", "acquisition.sample_rate_hz", "dsp", "inference.adaptation", "decision"];
 
 /// Keys among them that the command sets itself.
 const OWN_KEYS: [&str; 2] = ["decision.strategy", "decision.gestures"];
@@ -124,6 +125,11 @@ impl Options {
         ensure!(
             self.calibrate_repetitions.is_none() || strategy == Strategy::Personal,
             "--calibrate-repetitions has no effect with --strategy {}: leave one of the two out",
+            strategy.name()
+        );
+        ensure!(
+            !self.sets("inference.adaptation") || strategy == Strategy::Personal,
+            "--set inference.adaptation has no effect with --strategy {}: leave one of the two out",
             strategy.name()
         );
         for (option, model, used_by) in self.models() {

@@ -29,7 +29,7 @@ pub use metadata::trained_on;
 pub use recogniser::{
     DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, RecogniserFiles, default_model_file,
 };
-pub use tendon_people::Recognition;
+pub use tendon_people::{Adaptation, Recognition};
 
 pub use rest::{RestCheck, RestDifference};
 
@@ -91,6 +91,12 @@ pub enum ClassifierError {
          calibrate` makes one"
     )]
     NoPerson,
+    /// A network is to adapt.
+    #[error(
+        "inference.adaptation = \"slow\" is for a person's recogniser, and decision.strategy is not \"personal\": add \
+         --person NAME, or set inference.adaptation to \"off\""
+    )]
+    OnlyPersonsAdapt,
     /// The file holds no person that can be used.
     #[error(transparent)]
     Person(#[from] PersonFileError),

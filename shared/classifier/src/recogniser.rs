@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 
 use tendon_gesture::{Class, DecisionSettings, Gesture, GestureSet, Strategy};
-use tendon_people::{Person, PersonalRecogniser, Recognition, SignalOffer};
+use tendon_people::{Adaptation, Person, PersonalRecogniser, Recognition, SignalOffer};
 use tendon_signal::WindowSettings;
 
 use crate::locate::{model_beside_program, runtime_library};
@@ -168,6 +168,22 @@ impl Recogniser {
         Ok(Recogniser(Kind::Person(Box::new(of_person))))
     }
 
+    /// The same recogniser that follows its person during use, or does not.
+    ///
+    /// # Errors
+    ///
+    /// [`ClassifierError::OnlyPersonsAdapt`] if a network is to adapt.
+    pub fn with_adaptation(self, adaptation: Adaptation) -> Result<Recogniser, ClassifierError> {
+        match self.0 {
+            Kind::Networks(_) if adaptation != Adaptation::Off => Err(ClassifierError::OnlyPersonsAdapt),
+            Kind::Networks(networks) => Ok(Recogniser(Kind::Networks(networks))),
+            Kind::Person(mut of_person) => {
+                of_person.recogniser = of_person.recogniser.with_adaptation(adaptation);
+                Ok(Recogniser(Kind::Person(of_person)))
+            }
+        }
+    }
+
     /// Loads what the strategy of `decision` needs from ONNX Runtime in `library`: `model`, and for the two-stage
     /// strategy `rest_move_model`; where a path is left out, the model that comes with Tendon.
     ///
@@ -309,6 +325,13 @@ impl Recogniser {
         match &mut self.0 {
             Kind::Networks(networks) => networks.recognise(window),
             Kind::Person(of_person) => Ok(of_person.recogniser.recognise(window, first_sample)?),
+        }
+    }
+
+    /// Adapts to the window that was recognised last, where [adaptation](Self::with_adaptation) is on.
+    pub fn adapt(&mut self) {
+        if let Kind::Person(of_person) = &mut self.0 {
+            of_person.recogniser.adapt();
         }
     }
 

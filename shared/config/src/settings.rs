@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
+use tendon_people::Adaptation;
 use tendon_recordings::{Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary};
 use tendon_signal::SignalSettings;
 use tendon_transport::{Delivery, SessionName};
@@ -236,6 +237,8 @@ pub struct InferenceSettings {
     pub rest_move_model: Option<PathBuf>,
     /// The file of the person, for the strategy `personal`; `tendon calibrate` makes it.
     pub person: Option<PathBuf>,
+    /// Whether the person's recogniser follows them during use.
+    pub adaptation: Adaptation,
     /// ONNX Runtime's shared library; when left out, `ORT_DYLIB_PATH`, then what
     /// `scripts/fetch-onnxruntime` put beside the programs.
     pub runtime_library: Option<PathBuf>,

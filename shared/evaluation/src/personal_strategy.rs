@@ -9,7 +9,7 @@
 
 use std::path::Path;
 
-use tendon_classifier::Recogniser;
+use tendon_classifier::{Adaptation, Recogniser};
 use tendon_dataset::{DatasetSettings, Layout, Recording};
 use tendon_features::{Cohort, MethodSettings, PriorError};
 use tendon_gesture::{DecisionSettings, Strategy};
@@ -87,12 +87,14 @@ pub fn calibrate_person(
 }
 
 /// Scores the personal strategy on `recordings`, each with the recogniser of the person in the same place of `people`.
-/// Recordings are read as `dataset` says. `on_progress` counts recordings.
+/// What that adapts to lasts until the person's last recording. Recordings are read as `dataset` says. `on_progress` counts
+/// recordings.
 ///
 /// # Errors
 /// When a recording cannot be read, a recogniser does not fit the settings, or it fails on a window.
 pub fn score_personal(
     settings: &PipelineSettings,
+    adaptation: Adaptation,
     dataset: &DatasetSettings,
     recordings: &[PersonRecordings],
     people: &[Person],
@@ -106,14 +108,19 @@ pub fn score_personal(
             on_progress(done, total);
             done += 1;
         };
-        let mut pipeline = pipeline_of(settings, person).map_err(|error| recordings.failed(error.into()))?;
+        let pipeline = pipeline_of(settings, adaptation, person);
+        let mut pipeline = pipeline.map_err(|error| recordings.failed(error.into()))?;
         score_person(&mut pipeline, dataset, recordings, &mut tally, &mut on_recording)?;
     }
     Ok(tally.scores())
 }
 
 /// A pipeline with the recogniser of `person`, whose gestures do what the modes of `settings` say.
-fn pipeline_of(settings: &PipelineSettings, person: &Person) -> Result<Pipeline, PipelineError> {
+fn pipeline_of(
+    settings: &PipelineSettings,
+    adaptation: Adaptation,
+    person: &Person,
+) -> Result<Pipeline, PipelineError> {
     let gestures = person.gesture_set();
     let mut modes = settings.decision.modes.clone();
     for mode in &mut modes {
@@ -124,5 +131,6 @@ fn pipeline_of(settings: &PipelineSettings, person: &Person) -> Result<Pipeline,
     let path = Path::new(person.name.as_str());
     let recogniser =
         Recogniser::of_person(person.clone(), path, &decision.gestures, &settings.signal.windows)?;
+    let recogniser = recogniser.with_adaptation(adaptation)?;
     Pipeline::new(PipelineSettings { decision, ..settings.clone() }, recogniser)
 }

@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
+use tendon_classifier::Adaptation;
 use tendon_dataset::{DatasetSettings, Layout, list};
 use tendon_evaluation::{
     Calibrating, PersonRecordings, calibrate_person, dataset_settings, gather_cohort, score_personal,
@@ -128,8 +129,15 @@ fn a_calibrated_person_steers_in_the_repetitions_that_did_not_calibrate() {
         assert!(!others.is_empty() && others.iter().all(|other| !other.ends_with(&own)), "{others:?}");
         recognisers.push(recogniser);
     }
-    let scores =
-        score_personal(&pipeline_settings(), &settings(), &people, &recognisers, &mut |_, _| {}).unwrap();
+    let scores = score_personal(
+        &pipeline_settings(),
+        Adaptation::Off,
+        &settings(),
+        &people,
+        &recognisers,
+        &mut |_, _| {},
+    )
+    .unwrap();
     // The second session of two people; the second repetition of the third: five movements each.
     assert_eq!(scores.repetitions, 3);
     let answered = scores.onset_to_first_correct_command_ms;

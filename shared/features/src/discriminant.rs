@@ -13,6 +13,8 @@
 //! Subtracting m changes all scores of a window alike, so the posterior is that of the plain formula, with
 //! smaller numbers.
 
+mod adaptation;
+
 use nalgebra::{Cholesky, DMatrix};
 use serde::{Deserialize, Serialize};
 
@@ -22,6 +24,8 @@ use crate::prior::Prior;
 use crate::settings::MethodSettings;
 use crate::shrinkage::{Shrunk, ledoit_wolf};
 use crate::training::{Class, Training};
+
+pub use adaptation::SlowAdaptation;
 
 /// How much of its own step a class takes that goes beyond the step of all, when everything has moved: a few seconds show the
 /// common step better than that of each class.
@@ -173,21 +177,26 @@ impl Discriminant {
 
     /// Weights and biases for the whitened means.
     fn lay_anew(&mut self, shares_ln: &[f64]) {
-        let (count, middle) = (self.feature_count, self.whitened_middle());
-        for (class, mean) in self.whitened_means.chunks_exact(count).enumerate() {
-            self.biases[class] = shares_ln[class] + bias_of(mean, &middle);
-            let weights = &mut self.weights[class * count..][..count];
-            weights
-                .iter_mut()
-                .zip(mean.iter().zip(&middle))
-                .for_each(|(weight, (mean, m))| *weight = mean - m);
-            // L transposed, from its last row up.
-            for row in (0..count).rev() {
-                let line = &self.factor[row * (row + 1) / 2..][..=row];
-                weights[row] /= line[row];
-                let weight = weights[row];
-                add_scaled(&mut weights[..row], -weight, &line[..row]);
-            }
+        let middle = self.whitened_middle();
+        for (class, share_ln) in shares_ln.iter().enumerate() {
+            self.lay_class(class, *share_ln, &middle);
+        }
+    }
+
+    /// Weights and bias of one class for its whitened mean. `middle` stands for the mean of the means: any point does that is
+    /// the same for all classes.
+    fn lay_class(&mut self, class: usize, share_ln: f64, middle: &[f64]) {
+        let count = self.feature_count;
+        let mean = &self.whitened_means[class * count..][..count];
+        self.biases[class] = share_ln + bias_of(mean, middle);
+        let weights = &mut self.weights[class * count..][..count];
+        weights.iter_mut().zip(mean.iter().zip(middle)).for_each(|(weight, (mean, m))| *weight = mean - m);
+        // L transposed, from its last row up.
+        for row in (0..count).rev() {
+            let line = &self.factor[row * (row + 1) / 2..][..=row];
+            weights[row] /= line[row];
+            let weight = weights[row];
+            add_scaled(&mut weights[..row], -weight, &line[..row]);
         }
     }
 

@@ -8,7 +8,8 @@
 //!                                  CrossValidation ─▶ temperature, limit of distance       └─▶ distance
 //! ```
 //!
-//! Without labels, [`GestureMap`] finds the gestures in a stream from where other people's lie.
+//! In use, [`SlowAdaptation`] lets a discriminant follow its person. Without labels, [`GestureMap`] finds the
+//! gestures in a stream from where other people's lie.
 //!
 //! Everything here is pure: no clock, no topic, no file. Every constant of the method is in
 //! [`MethodSettings`]. Features depend on no unit of the samples as long as the floor is taken from the
@@ -53,7 +54,7 @@ mod unlabelled;
 pub use cohort::{Cohort, MemberId};
 pub use covariance::{LaggedLogCovariance, rest_floor};
 pub use cross_validation::CrossValidation;
-pub use discriminant::Discriminant;
+pub use discriminant::{Discriminant, SlowAdaptation};
 pub use error::{FeatureError, FitError, PriorError, UnlabelledError};
 pub use new_repetitions::recognised_in_new_repetitions;
 pub use population::{GestureMeans, Population};

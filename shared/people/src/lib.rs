@@ -31,5 +31,5 @@ pub use finding::Finding;
 pub use name::{InvalidName, PersonName};
 pub use person::{Fitted, GestureFit, Made, Person, SignalFit};
 pub use quality::{ChannelQuality, ClippingWatch};
-pub use recogniser::{Difference, PersonalRecogniser, RecogniseError, Recognition, SignalOffer};
+pub use recogniser::{Adaptation, Difference, PersonalRecogniser, RecogniseError, Recognition, SignalOffer};
 pub use store::{People, PeopleError};

@@ -5,14 +5,29 @@
 //!         │             └─▶ distance / limit ─▶ novelty
 //!         └─▶ RMS of every channel ─▶ effort of every gesture
 //! ```
+//!
+//! If it adapts, the means of the discriminant follow the windows that are surely a gesture. The person stays as it is: the
+//! next recogniser begins where the person was calibrated.
 
 use std::fmt;
 
-use tendon_features::{Discriminant, FeatureError, FitError, LaggedLogCovariance};
+use serde::{Deserialize, Serialize};
+use tendon_features::{Discriminant, FeatureError, FitError, LaggedLogCovariance, SlowAdaptation};
 use tendon_signal::FilterSettings;
 
 use crate::effort::{EffortRange, rms_of_channels};
 use crate::person::{Person, SignalFit};
+
+/// Whether a recogniser follows its person during use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Adaptation {
+    /// It stays as it was calibrated.
+    #[default]
+    Off,
+    /// Its gestures follow confident windows, and not far: [`SlowAdaptation`].
+    Slow,
+}
 
 /// Recognises gestures. Once made, it allocates nothing.
 #[derive(Clone, Debug)]
@@ -20,7 +35,12 @@ pub struct PersonalRecogniser {
     window_length: usize,
     covariance: LaggedLogCovariance,
     discriminant: Discriminant,
+    adaptation: Option<SlowAdaptation>,
+    /// From one window to the next.
+    increment_s: f64,
     distance_limit: f64,
+    /// Of the last window; infinite if it was not recognised.
+    novelty: f64,
     /// Of every channel of the window.
     rms: Vec<f64>,
     ranges: Vec<EffortRange>,
@@ -67,7 +87,10 @@ impl PersonalRecogniser {
             window_length: person.signal.window_length(),
             covariance,
             discriminant: person.fitted.discriminant.clone(),
+            adaptation: None,
+            increment_s: increment_samples as f64 / person.signal.sample_rate_hz,
             distance_limit: person.fitted.distance_limit,
+            novelty: f64::INFINITY,
             rms: vec![0.0; person.channels.len()],
             ranges: person.gestures.iter().map(|gesture| gesture.effort.clone()).collect(),
             features: vec![0.0; features],
@@ -76,6 +99,24 @@ impl PersonalRecogniser {
             probabilities: vec![0.0; gestures],
             efforts: vec![0.0; gestures],
         })
+    }
+
+    /// The same recogniser that follows its person, or does not, from where it is now.
+    #[must_use]
+    pub fn with_adaptation(mut self, adaptation: Adaptation) -> PersonalRecogniser {
+        self.adaptation = match adaptation {
+            Adaptation::Off => None,
+            Adaptation::Slow => Some(SlowAdaptation::new(&self.discriminant, self.increment_s)),
+        };
+        self
+    }
+
+    /// Adapts to the window that was recognised last, if it is surely a gesture of the person's. Does nothing where adaptation
+    /// is off.
+    pub fn adapt(&mut self) {
+        if let Some(adaptation) = &self.adaptation {
+            adaptation.follow(&mut self.discriminant, &self.posterior, &self.whitened, self.novelty);
+        }
     }
 
     /// Recognises the window that begins at `first_sample` of a stream, channel-major. What was computed for the windows
@@ -114,8 +155,10 @@ impl PersonalRecogniser {
 
     /// Looks at the features that have been computed.
     fn decide(&mut self, window: &[f32]) -> Result<Recognition<'_>, RecogniseError> {
+        self.novelty = f64::INFINITY;
         self.discriminant.posterior(&self.features, &mut self.posterior)?;
         let distance = self.discriminant.distance(&self.features, &mut self.whitened)?;
+        self.novelty = distance / self.distance_limit;
         let rms = rms_of_channels(window, self.rms.len());
         self.rms.iter_mut().zip(rms).for_each(|(place, rms)| *place = rms);
         for (narrow, wide) in self.probabilities.iter_mut().zip(&self.posterior) {
@@ -128,7 +171,7 @@ impl PersonalRecogniser {
         Ok(Recognition {
             probabilities: &self.probabilities,
             efforts: &self.efforts,
-            novelty: (distance / self.distance_limit) as f32,
+            novelty: self.novelty as f32,
         })
     }
 }

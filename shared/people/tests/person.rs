@@ -6,8 +6,8 @@ use common::{CHANNELS, Noise, Recorded, SAMPLES, fit, gestures, record, signal, 
 use proptest::prelude::*;
 use tendon_gesture::Gesture;
 use tendon_people::{
-    CalibrationError, Finding, HeldOut, People, PeopleError, Person, PersonName, PersonalRecogniser,
-    SignalOffer,
+    Adaptation, CalibrationError, Finding, HeldOut, People, PeopleError, Person, PersonName,
+    PersonalRecogniser, SignalOffer,
 };
 
 fn person() -> Person {
@@ -50,6 +50,36 @@ fn a_person_recognises_their_gestures_with_effort_and_rejects_what_they_never_ma
     assert!(strange.expect("a recognition").novelty > 1.5);
     let light = recogniser.recognise_alone(&window(&mut noise, &[2.0; CHANNELS])).expect("a recognition");
     assert!(light.efforts[1] > 0.1 && light.efforts[1] < 0.6, "{:?}", light.efforts);
+}
+
+#[test]
+fn only_a_recogniser_that_adapts_follows_its_person() {
+    let person = person();
+    let off = PersonalRecogniser::new(&person, 50).expect("a recogniser");
+    let mut slow = off.clone().with_adaptation(Adaptation::Slow);
+    let mut off = off.with_adaptation(Adaptation::default());
+    // A fist as it was never made, but still a fist.
+    let mut noise = Noise(7);
+    let mut later = || window(&mut noise, &[4.6, 4.2, 5.0, 5.2]);
+    let mut novelties = [[0.0; 2]; 2];
+    for number in 0..400 {
+        let window = later();
+        for (way, recogniser) in [&mut off, &mut slow].into_iter().enumerate() {
+            let recognition = recogniser.recognise_alone(&window).expect("a recognition");
+            assert!(recognition.probabilities[1] > 0.95, "{:?}", recognition.probabilities);
+            if !(50..350).contains(&number) {
+                novelties[way][usize::from(number >= 350)] += recognition.novelty / 50.0;
+            }
+            recogniser.adapt();
+        }
+    }
+    let [[off_first, off_last], [slow_first, slow_last]] = novelties;
+    assert!((off_last - off_first).abs() < 0.05 * off_first, "{novelties:?}");
+    assert!(slow_last < 0.98 * slow_first.min(off_last), "{novelties:?}");
+    // What was adapted is gone with the recogniser.
+    let mut again = PersonalRecogniser::new(&person, 50).expect("a recogniser");
+    let window = later();
+    assert_eq!(again.recognise_alone(&window), off.recognise_alone(&window));
 }
 
 #[test]

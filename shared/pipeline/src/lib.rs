@@ -100,8 +100,8 @@ impl Pipeline {
         self.chain.calibration_left_samples()
     }
 
-    /// Goes back to the start for another recording of the same person: resets filters and votes, but not what the
-    /// activity detector's calibration has measured.
+    /// Goes back to the start for another recording of the same person: resets filters and votes, but neither what
+    /// the activity detector's calibration has measured, nor what the recogniser has adapted to.
     ///
     /// # Errors
     /// None that [`Pipeline::new`] has not given before.
@@ -112,7 +112,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Goes back to the start, for another person: resets filters, calibration and votes.
+    /// Goes back to the start, for another person: resets filters, calibration and votes, not the recogniser.
     ///
     /// # Errors
     /// None that [`Pipeline::new`] has not given before.
@@ -146,6 +146,9 @@ impl Pipeline {
             });
             let work_ns = began.elapsed().as_nanos() as u64;
             on_step(Step { window, samples, recognition, decision, work_ns });
+            if window.replaced_samples == 0 {
+                recogniser.adapt();
+            }
             began = Instant::now();
             Ok::<(), ClassifierError>(())
         })?;

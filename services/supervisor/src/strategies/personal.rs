@@ -104,7 +104,8 @@ pub fn score(
     on_progress: &mut OnProgress<'_>,
 ) -> Result<StrategyScores, Failure> {
     let pipeline = pipeline_settings(&with_windows(options, config), Strategy::Personal);
-    score_personal(&pipeline, settings, &people.recordings, &people.people, on_progress)
+    let recordings = &people.recordings;
+    score_personal(&pipeline, config.inference.adaptation, settings, recordings, &people.people, on_progress)
         .map_err(Failure::running)
 }
 
