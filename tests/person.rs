@@ -55,6 +55,28 @@ fn a_person_is_calibrated_from_recordings_and_runs_a_session() {
 }
 
 #[test]
+fn a_session_that_adapts_leaves_the_person_as_it_was_and_allocates_nothing() {
+    let data = recorded();
+    let data = data.path();
+    assert_eq!(calibrate(data, "anna", &[]).exit_code, Some(0));
+    let file = data.join("tendon/people/anna/person.toml");
+    let before = std::fs::read(&file).unwrap();
+    let session = unique_session();
+    let run =
+        TendonBuilder::command(&session, &["run", "--session", &session.to_string(), "--person", "anna"])
+            .env("XDG_DATA_HOME", data)
+            .args(&["--set", "inference.adaptation=slow", "--pace", "full", "--realtime", "off"])
+            .args(&["--json", "report.json", "--replay"])
+            .arg(data.join(EMG));
+    let report = run.end().report();
+    assert_eq!(report.allocations["inference"], 0);
+    let recognition = &report.recognition;
+    assert!(recognition.windows > 400, "{recognition:?}");
+    assert!(recognition.correct as f64 > 0.95 * recognition.windows as f64, "{recognition:?}");
+    assert_eq!(std::fs::read(&file).unwrap(), before);
+}
+
+#[test]
 fn a_name_is_taken_once_and_what_does_not_fit_is_refused_by_name() {
     let data = recorded();
     let data = data.path();
