@@ -120,11 +120,12 @@ pub fn calibrate(options: &Options) -> Result<(), Failure> {
         )));
     }
     let file = people.replace(&fitted.person).map_err(Failure::running)?;
-    report(&fitted, &file, None, begun, json.as_ref())
+    report(options, &fitted, &file, None, begun, json.as_ref())
 }
 
 /// Says what was learnt.
 fn report(
+    options: &Options,
     fitted: &Fitted,
     file: &Path,
     check: Option<&CheckScores>,
@@ -146,7 +147,7 @@ fn report(
         provenance: begun,
     };
     let written = collect(json.iter().map(|json| json.write_json(&learnt))).map_err(Failure::running);
-    written.and(print(text(&learnt, person)).map_err(Failure::running))
+    written.and(print(text(options, &learnt, person)).map_err(Failure::running))
 }
 
 struct Fitted {
@@ -292,7 +293,7 @@ fn listed(paths: &[PathBuf]) -> String {
 }
 
 /// What was learnt, for people.
-fn text(learnt: &Learnt, person: &Person) -> String {
+fn text(options: &Options, learnt: &Learnt, person: &Person) -> String {
     let signal = &person.signal;
     let mut text = format!(
         "{}: {} gestures on channels {}, windows of {:.0} ms\n",
@@ -305,9 +306,15 @@ fn text(learnt: &Learnt, person: &Person) -> String {
         0 => "without other people".to_owned(),
         people => format!("with what {people} other people have in common"),
     };
-    text += &format!("fitted in {:.2} s, {prior}\n", learnt.fit_s);
+    text += &if options.guided.update {
+        "updated to how rest and the gestures are now; what follows is of the calibration\n".to_owned()
+    } else {
+        format!("fitted in {:.2} s, {prior}\n", learnt.fit_s)
+    };
     let how = match person.expected.held_out {
-        HeldOut::Repetitions => "each repetition recognised by a fit to the others",
+        HeldOut::Repetitions => {
+            "each repetition recognised by a fit to the others; expect less on another day"
+        }
         HeldOut::MadeUpRepetitions => "if the next repetitions differ from the only one as other people's do",
         HeldOut::PartsOfOneRepetition => {
             "parts of the only repetition recognised by a fit to the others: expect less, and repeat each gesture to know"
@@ -331,7 +338,12 @@ fn text(learnt: &Learnt, person: &Person) -> String {
     for finding in &learnt.findings {
         text += &format!("- {finding}\n");
     }
-    text + &format!("kept in {}\nnow: tendon run --person {}", learnt.file, person.name)
+    text + &format!(
+        "kept in {}\nnow: tendon run --person {}{}",
+        learnt.file,
+        person.name,
+        options.base.typed()
+    )
 }
 
 /// Percent of the windows of each gesture, by what they were recognised as.

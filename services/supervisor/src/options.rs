@@ -65,6 +65,12 @@ impl Base {
         self.config.is_some() || !self.assignments.is_empty()
     }
 
+    /// The options again, as they are typed after a command.
+    pub fn typed(&self) -> String {
+        let config = self.config.iter().map(|config| format!(" --config {}", config.display()));
+        config.chain(self.assignments.iter().map(|assignment| format!(" --set '{assignment}'"))).collect()
+    }
+
     /// Whether a key was set that begins with `beginning`.
     pub fn sets(&self, beginning: &str) -> bool {
         self.assignments.iter().any(|assignment| assignment.trim_start().starts_with(beginning))

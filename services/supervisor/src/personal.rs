@@ -132,11 +132,16 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
     {
         config.dsp.filter = filter.clone();
     }
-    if config.dsp.windows == default.dsp.windows && !base.sets("dsp.windows") {
-        config.dsp.windows = WindowSettings {
-            window_samples: signal.window_samples,
-            increment_samples: samples_of_ms(INCREMENT_MS, signal.sample_rate_hz),
-        };
+    let windows = &mut config.dsp.windows;
+    if windows.window_samples == default.dsp.windows.window_samples
+        && !base.sets("dsp.windows.window_samples")
+    {
+        windows.window_samples = signal.window_samples;
+    }
+    if windows.increment_samples == default.dsp.windows.increment_samples
+        && !base.sets("dsp.windows.increment_samples")
+    {
+        windows.increment_samples = samples_of_ms(INCREMENT_MS, signal.sample_rate_hz);
     }
     if config.decision.gestures == default.decision.gestures && !base.sets("decision.gestures") {
         config.decision.gestures = person.gesture_set();

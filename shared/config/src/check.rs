@@ -56,8 +56,9 @@ impl Config {
         let (fastest_mm_per_s, fastest_deg_per_s) = self.decision.fastest();
         let limit_deg_per_s = ANGULAR_SPEED_LIMIT_RAD_PER_S.to_degrees();
         if fastest_deg_per_s > limit_deg_per_s {
-            let remedy =
-                format!("the arm turns no faster than {limit_deg_per_s:.0} deg/s: take a lower speed");
+            let remedy = format!(
+                "the arm turns no faster than {limit_deg_per_s:.1} deg/s: take a lower speed, here or in decision.modes"
+            );
             return refuse("decision.rotation_speed_deg_per_s", fastest_deg_per_s, remedy);
         }
         let limit = self.robot.arm.linear_speed_limit_mm_per_s;

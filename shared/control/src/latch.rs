@@ -42,7 +42,9 @@ impl Latch {
     /// recognised as such. What was voted would not do, as votes begin with rest.
     pub fn admits(&mut self, header: &CommandHeader) -> bool {
         let is_calibrating = Activity::from_number(header.context.activity) == Activity::Calibrating;
+        // A window of which nobody knows what it shows, such as that of a loose electrode, may hide a contraction.
         let is_rest = header.gesture == REST
+            && header.is_unsure == 0
             && header.context.replaced_samples == 0
             && !(self.needs_calibration && is_calibrating);
         self.rests = if is_rest { self.rests + 1 } else { 0 };
@@ -138,6 +140,7 @@ mod tests {
             assert!(!latch.admits(&window(Gesture::FLEXION)));
             assert!(!latch.admits(&CommandHeader { context: damaged, ..window(Gesture::REST) }));
             assert!(!latch.admits(&CommandHeader { gesture: 77, ..window(Gesture::REST) }));
+            assert!(!latch.admits(&CommandHeader { is_unsure: 1, ..window(Gesture::REST) }));
             assert!(!latch.admits(&window(Gesture::REST)), "one window alone is no rest");
         }
         let mut latch = rested(latch);

@@ -45,7 +45,7 @@ pub struct Decision {
     pub confidence: f32,
     /// The gesture acted on, after the vote, or by the evidence so far.
     pub voted: Gesture,
-    /// It is not clear which gesture is made, and the arm rests for that.
+    /// It is not clear which gesture is made, and the arm rests for that. It is no rest of the person: their rest is clear.
     pub is_unsure: bool,
     /// Velocity along (mm/s) and about (rad/s) the axes x, y, z of `frame`.
     pub twist: [f64; 6],
@@ -93,7 +93,8 @@ impl Decider {
                 Belief::Unsure => (Gesture::REST, None),
             },
             Strategy::Threshold | Strategy::TwoStage | Strategy::Direct => {
-                (self.votes.cast(&self.settings.gestures, gesture), Some(gesture))
+                let voted = self.votes.cast(&self.settings.gestures, gesture);
+                (voted, is_usable(evidence).then_some(gesture))
             }
         };
         let press = self.press(held, evidence.captured_ns);
@@ -144,7 +145,7 @@ impl Decider {
     fn believe(&mut self, evidence: &Evidence<'_>) -> Belief {
         if !is_usable(evidence) {
             self.believer = Believer::new(self.settings.evidence);
-            return Belief::Clear(Gesture::REST);
+            return Belief::Unsure;
         }
         self.believer.take(&self.settings.gestures, evidence)
     }
@@ -316,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn damaged_windows_are_rest() {
+    fn damaged_windows_hold_the_arm_still_and_are_no_rest_of_the_person() {
         for (probabilities, intact) in [(certain(Gesture::ULNAR), false), ([f32::NAN; 6], true)] {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             for _ in 0..5 {
@@ -328,7 +329,8 @@ mod tests {
                     intact,
                     captured_ns: 0,
                 };
-                assert_eq!(decider.decide(&evidence).gesture, Gesture::REST);
+                let decision = decider.decide(&evidence);
+                assert_eq!((decision.gesture, decision.is_unsure), (Gesture::REST, true));
             }
         }
     }

@@ -65,14 +65,22 @@ impl Axis {
 }
 
 /// Whose axes are meant.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Frame {
     /// Those of the arm's base, which stand still.
     #[default]
     Base,
     /// Those of the flange, which turn with it.
     Tool,
+}
+
+impl Frame {
+    const fn name(self) -> &'static str {
+        match self {
+            Frame::Base => "base",
+            Frame::Tool => "tool",
+        }
+    }
 }
 
 /// An axis and the way along or about it: `+z`, `-roll`.
@@ -142,12 +150,17 @@ enum ActionInFile {
     Motion(MotionInFile),
 }
 
+/// The frame where none is named.
+fn base() -> String {
+    Frame::Base.name().to_owned()
+}
+
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct MotionInFile {
     motion: String,
-    #[serde(default)]
-    frame: Frame,
+    #[serde(default = "base")]
+    frame: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     speed_mm_per_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -166,6 +179,9 @@ pub enum NoAction {
     /// A motion that means nothing.
     #[error(transparent)]
     Motion(#[from] NoDirection),
+    /// A frame that there is not.
+    #[error("`{0}` is no frame: take base or tool")]
+    Frame(String),
     /// A speed in the wrong unit.
     #[error("{direction} has its speed in {right}, not in {wrong}")]
     Unit {
@@ -205,6 +221,10 @@ impl TryFrom<ActionInFile> for Action {
                 if other.is_some() {
                     return Err(NoAction::Unit { direction: direction.to_string(), right, wrong });
                 }
+                let frame = [Frame::Base, Frame::Tool]
+                    .into_iter()
+                    .find(|known| known.name() == frame)
+                    .ok_or(NoAction::Frame(frame))?;
                 Ok(Action::Move(Motion { direction, frame, speed }))
             }
         }
@@ -224,7 +244,7 @@ impl From<Action> for ActionInFile {
                 let of = |is_rotation| speed.filter(|_| direction.axis.is_rotation() == is_rotation);
                 ActionInFile::Motion(MotionInFile {
                     motion: direction.to_string(),
-                    frame,
+                    frame: frame.name().to_owned(),
                     speed_mm_per_s: of(false),
                     speed_deg_per_s: of(true),
                 })
@@ -342,7 +362,9 @@ pub(crate) fn check_modes(
             (1, _) if has(Action::NextMode) => {
                 Some("there is no other mode to go to: add one, or take another action")
             }
-            (2.., false) => Some("no gesture leads out of it: map one to next_mode, or set long_grip_s"),
+            (2.., false) => Some(
+                "no gesture leads out of it: map one to next_mode, or one to gripper and set long_grip_s",
+            ),
             _ => None,
         };
         if let Some(problem) = problem {
@@ -409,6 +431,7 @@ mod tests {
             ("\"z\"", "`z` is no action"),
             ("\"\"", "`` is no action"),
             ("{ motion = \"+w\" }", "`+w` is no motion"),
+            ("{ motion = \"+z\", frame = \"flange\" }", "`flange` is no frame: take base or tool"),
             ("{ motion = \"+z\", speed_deg_per_s = 5.0 }", "+z has its speed in speed_mm_per_s"),
             ("{ motion = \"+yaw\", speed_mm_per_s = 5.0 }", "+yaw has its speed in speed_deg_per_s"),
         ] {

@@ -34,7 +34,7 @@ pub enum PathError {
         owner: String,
     },
     /// Others can write to it.
-    #[error("others can write to {path} (mode {mode:04o}): remove it", path = path.display())]
+    #[error("others can write to {path} (mode {mode:04o}): run `chmod go-w {path}`", path = path.display())]
     Writable {
         /// The folder or file.
         path: PathBuf,

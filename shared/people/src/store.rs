@@ -7,6 +7,7 @@
 //! ```
 
 use std::io;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use tendon_paths::{PathError, PrivateFolder, data_folder};
@@ -52,6 +53,28 @@ pub enum PeopleError {
         name: PersonName,
         /// Their folder.
         folder: PathBuf,
+    },
+    /// The file is of somebody else.
+    #[error("{}: it is the file of `{found}`, not of `{name}`: put back the own one, or calibrate again", file.display())]
+    OtherName {
+        /// The file.
+        file: PathBuf,
+        /// The name asked for.
+        name: PersonName,
+        /// The name in it.
+        found: PersonName,
+    },
+    /// Somebody else could have written the file.
+    #[error(
+        "{}: it belongs to somebody else, or others can write to it (mode {mode:04o}): if you trust it, run `chmod 600` \
+         as its owner; else calibrate again",
+        file.display()
+    )]
+    Untrusted {
+        /// The file.
+        file: PathBuf,
+        /// Its permission bits.
+        mode: u32,
     },
     /// The person's file cannot be used.
     #[error(transparent)]
@@ -126,7 +149,25 @@ impl People {
         if !file.exists() {
             return Err(PeopleError::Unknown { name: name.clone(), people: self.names()? });
         }
-        Ok(Person::read(&file)?)
+        self.check_owner(&file)?;
+        let person = Person::read(&file)?;
+        if person.name != *name {
+            return Err(PeopleError::OtherName { file, name: name.clone(), found: person.name });
+        }
+        Ok(person)
+    }
+
+    /// Refuses a file that somebody else may have written: the folder of people is the user's own.
+    fn check_owner(&self, file: &Path) -> Result<(), PeopleError> {
+        let metadata = |path: &Path| {
+            path.metadata().map_err(|source| PeopleError::List { path: path.to_owned(), source })
+        };
+        let (own, found) = (metadata(self.folder.path())?, metadata(file)?);
+        let mode = found.mode() & 0o7777;
+        if found.uid() != own.uid() || mode & 0o022 != 0 {
+            return Err(PeopleError::Untrusted { file: file.to_owned(), mode });
+        }
+        Ok(())
     }
 
     /// Refuses a name that somebody has.

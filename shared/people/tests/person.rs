@@ -347,6 +347,17 @@ fn people_are_kept_by_name_for_their_owner_alone() {
     let unknown = people.find(&berta).expect_err("nobody").to_string();
     assert!(unknown.contains("there is no person `berta`, only anna"), "{unknown}");
 
+    // A file that others can write to, or that is another person's.
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o666)).expect("changed");
+    let untrusted = people.find(&anna).expect_err("refused").to_string();
+    assert!(untrusted.contains("mode 0666") && untrusted.contains("chmod 600"), "{untrusted}");
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).expect("changed");
+    let copy = people.file_of(&berta);
+    std::fs::create_dir(copy.parent().expect("a folder")).expect("a folder");
+    std::fs::copy(&file, &copy).expect("copied");
+    let other = people.find(&berta).expect_err("refused").to_string();
+    assert!(other.contains("it is the file of `anna`, not of `berta`"), "{other}");
+
     let text = std::fs::read_to_string(&file).expect("the file");
     std::fs::write(&file, &text[..text.len() - 9]).expect("cut short");
     assert!(matches!(people.find(&anna), Err(PeopleError::File(_))));

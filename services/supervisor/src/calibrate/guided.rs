@@ -53,7 +53,7 @@ pub struct GuidedOptions {
     /// Correct the person for a new day or electrodes that sit a little differently: a few seconds of rest and of each
     /// gesture move the person by the step that they show.
     #[arg(long, conflicts_with_all = ["from", "gestures", "repetitions", "redo", "replace"])]
-    update: bool,
+    pub(super) update: bool,
     /// How long to rest at the beginning [default: 5s].
     #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
     rest: Option<Duration>,
@@ -103,7 +103,9 @@ pub fn calibrate(
     errors.end_live();
     let _ = errors.finish(TERMINAL_TIMEOUT);
     match learnt? {
-        Some(Learnt { fitted, file, check, begun }) => report(&fitted, &file, check.as_ref(), begun, json),
+        Some(Learnt { fitted, file, check, begun }) => {
+            report(options, &fitted, &file, check.as_ref(), begun, json)
+        }
         None => Ok(()),
     }
 }
@@ -168,6 +170,14 @@ impl Calibration<'_> {
             )));
         }
         let before = people.find(name).ok();
+        check_gestures(before.as_ref(), &fitted.person, &folder).map_err(Failure::running)?;
+        if self.updated.is_some() && !live.spoilt().is_empty() {
+            let spoilt: Vec<String> = live.spoilt().iter().map(ToString::to_string).collect();
+            return Err(Failure::running(anyhow!(
+                "{name} is not updated and stays as it was, because of {}: mend what was said of it, and update again",
+                spoilt.join(", ")
+            )));
+        }
         let file = people.replace(&fitted.person).map_err(Failure::running)?;
         let check = if options.guided.check {
             errors.say("check round: each gesture once more");
@@ -261,6 +271,26 @@ fn update(person: &Person, config: &Config, folder: &Path, begun: &Provenance) -
     let made = made.map(|(window, origin)| (origin.gesture, windows.window(window)));
     let person = person.updated(made, &begun.started_at)?;
     Ok(Fitted { person, fit_s: begin.elapsed().as_secs_f64(), skipped })
+}
+
+/// Refuses to take gestures from a person who has them: the newest recording was broken off, or is of fewer gestures.
+fn check_gestures(before: Option<&Person>, fitted: &Person, folder: &Path) -> anyhow::Result<()> {
+    let Some(before) = before else { return Ok(()) };
+    let now = fitted.gesture_set();
+    let lost: Vec<String> = before
+        .gesture_set()
+        .iter()
+        .filter(|gesture| now.number(*gesture).is_none())
+        .map(|gesture| gesture.to_string())
+        .collect();
+    ensure!(
+        lost.is_empty(),
+        "{} stays as it was: {} is not in the recording {}. Calibrate all gestures anew with --replace",
+        before.name,
+        lost.join(", "),
+        folder.display()
+    );
+    Ok(())
 }
 
 /// What is recorded.

@@ -52,6 +52,8 @@ pub struct Live<'a> {
     /// What the simulated person was told last.
     told: (Gesture, f64),
     strongest_level: f64,
+    /// Gestures that were recorded though something was wrong with them.
+    spoilt: Vec<Gesture>,
 }
 
 impl<'a> Live<'a> {
@@ -73,6 +75,7 @@ impl<'a> Live<'a> {
             next_sample: None,
             told: (Gesture::REST, 0.0),
             strongest_level: STRONG_LEVEL,
+            spoilt: Vec::new(),
         })
     }
 
@@ -92,7 +95,12 @@ impl<'a> Live<'a> {
                     return Ok(RoundEnd::Stopped);
                 }
                 Heard::GoOn => round.go_on(),
-                Heard::Redo => round.redo()?,
+                Heard::Redo => {
+                    if round.asks {
+                        self.spoilt.pop();
+                    }
+                    round.redo()?;
+                }
                 Heard::Nothing => {}
             }
             self.follow(&mut round)?;
@@ -119,6 +127,11 @@ impl<'a> Live<'a> {
             work.join()
                 .map_err(|_| Failure::running(anyhow::anyhow!("the fit broke off: please report this")))
         })
+    }
+
+    /// Gestures that were recorded though something was wrong with them.
+    pub fn spoilt(&self) -> &[Gesture] {
+        &self.spoilt
     }
 
     /// Of each channel, the share of its samples that was clipped.
@@ -223,6 +236,9 @@ impl<'a> Live<'a> {
                 round.guide.redo();
                 round.aborted = true;
             }
+            if is_labelled {
+                self.spoilt.push(trial.gesture);
+            }
             round.guide.wait();
             round.asks = true;
             return Ok(());
@@ -240,6 +256,7 @@ impl<'a> Live<'a> {
         }
         if is_labelled {
             self.errors.say(format!("! {trouble}; kept as it is after {TRIES} tries"));
+            self.spoilt.push(trial.gesture);
             round.tries = 0;
             return Ok(());
         }
