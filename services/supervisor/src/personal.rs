@@ -175,6 +175,10 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
         Channel::Name(name) => name.clone(),
     };
     let is_replay = acquisition.source == Source::Replay;
+    // The other sources do not say their unit.
+    let is_simulated = acquisition.source == Source::Simulate && acquisition.program.is_none();
+    let profile = is_simulated.then(|| acquisition.simulate.read_profile()).transpose()?;
+    let unit = profile.map_or_else(String::new, |profile| profile.unit);
     let named = acquisition.replay.channels.as_ref().filter(|_| is_replay);
     let names: Option<Vec<String>> = named.map(|channels| channels.iter().map(name).collect());
     let mut differences: Vec<String> = person
@@ -183,7 +187,7 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
             channels: acquisition.channels,
             channel_names: names.as_deref(),
             sample_rate_hz: acquisition.sample_rate_hz,
-            unit: "",
+            unit: &unit,
             window_samples: config.dsp.windows.window_samples,
             filter: Some(&config.dsp.filter),
         })
