@@ -113,6 +113,32 @@ fn a_calibration_that_is_broken_off_loses_nothing_and_can_be_fitted() {
 }
 
 #[test]
+fn a_new_calibration_may_have_other_gestures_but_a_redo_takes_none_away() {
+    let people = tempfile::tempdir().unwrap();
+    let short = ["--rest", "2s", "--hold", "2s", "--pause", "1s"];
+    let calibrate = |arguments: &[&str]| calibrate(people.path(), "stranger-22", arguments).args(&short);
+    assert_done(&calibrate(&["--gestures", "extension,grip"]).end());
+    let replaced = calibrate(&["--replace", "--gestures", "flexion,ulnar"]).end();
+    assert_done(&replaced);
+    assert!(replaced.output.contains("anna: 3 gestures"), "{replaced:#?}");
+    let broken_off = calibrate(&["--replace", "--gestures", "flexion,ulnar"]).start();
+    let newest = || {
+        let folder = people.path().join("tendon/people/anna/recordings");
+        let recordings: Vec<PathBuf> =
+            std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+        (recordings.len() == 3).then(|| recordings.into_iter().max())?
+    };
+    wait_until("a gesture of the third recording", || {
+        let labels = std::fs::read_to_string(newest()?.join("labels.csv")).ok()?;
+        labels.contains("flexion").then_some(())
+    });
+    broken_off.signal(Signal::SIGTERM);
+    assert_done(&broken_off.end());
+    let redone = calibrate(&["--redo", "flexion"]).end();
+    redone.assert_failed(1, &["anna stays as it was: ulnar is not in the recording", "--replace"]);
+}
+
+#[test]
 fn a_gesture_that_is_not_made_is_noticed_and_the_person_is_not_kept() {
     let people = tempfile::tempdir().unwrap();
     let mut profile = Profile::default();

@@ -170,7 +170,9 @@ impl Calibration<'_> {
             )));
         }
         let before = people.find(name).ok();
-        check_gestures(before.as_ref(), &fitted.person, &folder).map_err(Failure::running)?;
+        if options.guided.redo.is_some() {
+            check_gestures(before.as_ref(), &fitted.person, &folder).map_err(Failure::running)?;
+        }
         if self.updated.is_some() && !live.spoilt().is_empty() {
             let spoilt: Vec<String> = live.spoilt().iter().map(ToString::to_string).collect();
             return Err(Failure::running(anyhow!(
