@@ -1,19 +1,25 @@
 //! The whole system put to use: a simulated user steers the arm into zones, from muscle to motion and back.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
+use std::path::Path;
+
 use tendon_system_tests::{TendonBuilder, unique_session};
+
+/// Near and wide zones and no slips, so that a short session holds some of them even on a machine that is slow.
+fn near_and_wide_zones(figures: &Path, arguments: &[&str]) -> TendonBuilder {
+    TendonBuilder::run(&unique_session())
+        .args(&["--task", "zones"])
+        .args(arguments)
+        .args(&["--set", "task.distance_mm=[50, 80]", "--set", "task.width_mm=60"])
+        .args(&["--set", "task.user.error_rate=0"])
+        .arg("--figures")
+        .arg(figures)
+}
 
 #[test]
 fn a_simulated_user_steers_the_arm_into_zones() {
     let figures = tempfile::tempdir().unwrap();
-    // Near and wide zones and no slips, so that 25 s hold some of them even on a machine that is slow.
-    let ended = TendonBuilder::run(&unique_session())
-        .args(&["--task", "zones", "--duration", "25s"])
-        .args(&["--set", "task.distance_mm=[50, 80]", "--set", "task.width_mm=60"])
-        .args(&["--set", "task.user.error_rate=0"])
-        .arg("--figures")
-        .arg(figures.path())
-        .end();
+    let ended = near_and_wide_zones(figures.path(), &["--duration", "25s"]).end();
     let task = ended.report().task.unwrap();
     assert!(task.zones_reached >= 1, "{task:#?}");
     assert_eq!((task.name.as_str(), task.user.as_str(), task.box_violations), ("zones", "simulated", 0));
@@ -34,13 +40,7 @@ const TWO_MODES: &str = "decision.modes=[{ name = \"y-z\", extension = \"+z\", f
 #[test]
 fn with_a_second_mode_the_zones_lie_in_space_and_are_reached() {
     let figures = tempfile::tempdir().unwrap();
-    let ended = TendonBuilder::run(&unique_session())
-        .args(&["--task", "zones", "--duration", "45s", "--set", TWO_MODES])
-        .args(&["--set", "task.distance_mm=[50, 80]", "--set", "task.width_mm=60"])
-        .args(&["--set", "task.user.error_rate=0"])
-        .arg("--figures")
-        .arg(figures.path())
-        .end();
+    let ended = near_and_wide_zones(figures.path(), &["--duration", "45s", "--set", TWO_MODES]).end();
     let task = ended.report().task.unwrap();
     assert!(task.zones_reached >= 2, "{task:#?}");
     assert_eq!(task.box_violations, 0);

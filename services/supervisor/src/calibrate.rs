@@ -18,7 +18,7 @@ use serde::Serialize;
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, Recording, list};
 use tendon_evaluation::{PersonWindows, prior_without};
-use tendon_features::{LaggedLogCovariance, MethodSettings, Prior};
+use tendon_features::{MethodSettings, Prior};
 use tendon_gesture::Gesture;
 use tendon_output::{OutputFile, check_distinct, collect};
 use tendon_people::{ChannelQuality, Expected, GestureFit, HeldOut, Made, People, Person, PersonName};
@@ -28,7 +28,7 @@ use tendon_recordings::RecordedSession;
 use crate::Failure;
 use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{checked, left_out, print};
-use crate::personal::{calibration_settings, personal_windows, recorded_settings, shipped_prior};
+use crate::personal::{WINDOWS, calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
 
 use check::CheckScores;
@@ -198,7 +198,7 @@ fn fit(
     begun: &Provenance,
 ) -> anyhow::Result<Fitted> {
     let shipped = shipped_prior()?;
-    let config = personal_windows(config.clone(), &options.base);
+    let config = personal_windows(config.clone(), options.base.sets(WINDOWS));
     let (settings, recorded) = settings_of(options, &config, selection.paths)?;
     let found = list(&settings, selection.paths)?;
     let recordings = of_one_person(options, found.recordings)?;
@@ -222,16 +222,17 @@ fn fit(
         ensure!(is_there, "--gestures {gesture}: the recordings hold no window of it");
     }
     let method = MethodSettings::default();
-    let features = LaggedLogCovariance::new(&method, settings.channels.len(), settings.sample_rate_hz, 1.0)?;
-    let prior: Option<Prior> = match shipped.filter(|cohort| cohort.layout().fits(&features).is_ok()) {
+    let (channels, rate_hz) = (settings.channels.len(), settings.sample_rate_hz);
+    let prior: Option<Prior> = match shipped {
         // A simulated person must not be known to the prior either.
-        Some(cohort) => match recorded.as_ref().and_then(|recorded| recorded.simulated.as_ref()) {
-            Some(from) => {
-                cohort.prior(|member| (&member.data_set, member.number) != (&from.data_set, from.number))?
+        Some(cohort) if cohort.serves(&method, channels, rate_hz)? => {
+            match recorded.as_ref().and_then(|recorded| recorded.simulated.as_ref()) {
+                Some(from) => cohort
+                    .prior(|member| (&member.data_set, member.number) != (&from.data_set, from.number))?,
+                None => prior_without(&cohort, found.layout, number)?,
             }
-            None => prior_without(&cohort, found.layout, number)?,
-        },
-        None => None,
+        }
+        _ => None,
     };
     let made = Made {
         at: begun.started_at.clone(),

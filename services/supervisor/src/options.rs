@@ -73,7 +73,7 @@ impl Base {
 
     /// Whether a key was set that begins with `beginning`.
     pub fn sets(&self, beginning: &str) -> bool {
-        self.assignments.iter().any(|assignment| assignment.trim_start().starts_with(beginning))
+        sets(&self.assignments, beginning)
     }
 
     /// The file, then what was set.
@@ -296,6 +296,11 @@ fn read_configuration(file: Option<&Path>) -> anyhow::Result<Config> {
         }
         None => Ok(Config::default()),
     }
+}
+
+/// Whether one of the assignments sets a key that begins with `beginning`.
+pub fn sets(assignments: &[String], beginning: &str) -> bool {
+    assignments.iter().any(|assignment| assignment.trim_start().starts_with(beginning))
 }
 
 /// Refuses assignments of keys that `command` does not use: they would have no effect.

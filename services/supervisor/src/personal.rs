@@ -14,6 +14,8 @@ use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
 
 use crate::options::Base;
 
+/// Keys of the windows.
+pub const WINDOWS: &str = "dsp.windows";
 /// A movement counts from here on, ms after its cue: by then everybody has followed it.
 const MOVEMENT_BEGINS_MS: f64 = 1200.0;
 /// Where the onset of a gesture that `tendon calibrate` recorded is looked for, ms from the beginning of its trial, which is
@@ -74,22 +76,18 @@ pub fn recorded_settings(config: &Config, recorded: &RecordedSession) -> Dataset
     }
 }
 
-/// The configuration with a person's windows, unless others are asked for.
-pub fn personal_windows(config: Config, base: &Base) -> Config {
-    if base.sets("dsp.windows") || config.dsp.windows != WindowSettings::default() {
+/// The configuration with a person's windows, unless others are asked for: by a key that is set, or by a configuration file.
+pub fn personal_windows(config: Config, sets_windows: bool) -> Config {
+    if sets_windows || config.dsp.windows != WindowSettings::default() {
         return config;
     }
     let mut config = config;
-    config.dsp.windows = window_settings(config.acquisition.sample_rate_hz);
+    let rate_hz = config.acquisition.sample_rate_hz;
+    config.dsp.windows = WindowSettings {
+        window_samples: samples_of_ms(WINDOW_MS, rate_hz),
+        increment_samples: samples_of_ms(INCREMENT_MS, rate_hz),
+    };
     config
-}
-
-/// A person's windows where nobody asks for others.
-pub fn window_settings(sample_rate_hz: f64) -> WindowSettings {
-    WindowSettings {
-        window_samples: samples_of_ms(WINDOW_MS, sample_rate_hz),
-        increment_samples: samples_of_ms(INCREMENT_MS, sample_rate_hz),
-    }
 }
 
 fn samples_of_ms(ms: f64, rate_hz: f64) -> usize {
@@ -149,9 +147,7 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
     let gestures = &config.decision.gestures;
     if config.decision.modes == default.decision.modes && !base.sets("decision.modes") {
         // Of the paper's map, what the person makes.
-        for mode in &mut config.decision.modes {
-            mode.actions.retain(|gesture, _| gestures.number(*gesture).is_some());
-        }
+        config.decision.modes.iter_mut().for_each(|mode| mode.keep(gestures));
         ensure!(
             config.decision.modes.iter().any(|mode| !mode.actions.is_empty()),
             "none of the gestures of {} does anything: say in [[decision.modes]] of the configuration what each does",
@@ -170,17 +166,13 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
 /// Everything that differs, by name.
 pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Result<()> {
     let acquisition = &config.acquisition;
-    let name = |channel: &Channel| match channel {
-        Channel::Index(index) => index.to_string(),
-        Channel::Name(name) => name.clone(),
-    };
     let is_replay = acquisition.source == Source::Replay;
     // The other sources do not say their unit.
     let is_simulated = acquisition.source == Source::Simulate && acquisition.program.is_none();
     let profile = is_simulated.then(|| acquisition.simulate.read_profile()).transpose()?;
     let unit = profile.map_or_else(String::new, |profile| profile.unit);
     let named = acquisition.replay.channels.as_ref().filter(|_| is_replay);
-    let names: Option<Vec<String>> = named.map(|channels| channels.iter().map(name).collect());
+    let names: Option<Vec<String>> = named.map(|channels| channels.iter().map(Channel::name).collect());
     let mut differences: Vec<String> = person
         .differences(&SignalOffer {
             source: "the session",

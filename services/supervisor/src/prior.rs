@@ -11,7 +11,7 @@ use tendon_output::check_distinct;
 use crate::Failure;
 use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{checked, print};
-use crate::personal::{dataset_settings, personal_windows};
+use crate::personal::{WINDOWS, dataset_settings, personal_windows};
 use crate::progress::Works;
 
 /// Command line of `tendon prior`.
@@ -39,7 +39,7 @@ pub fn gather(options: &Options) -> Result<(), Failure> {
     let inputs = options.recordings.iter().map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&out, [], inputs).map_err(Failure::input)?;
     let config = options.base.configuration_of("tendon prior", &WINDOW_KEYS).map_err(Failure::input)?;
-    let config = personal_windows(config, &options.base);
+    let config = personal_windows(config, options.base.sets(WINDOWS));
     let settings = dataset_settings(&config, &options.channels, options.recording_rate_hz);
     let mut works = Works::default();
     let mut progress = |done, total| works.show(done, total, "people", String::new);

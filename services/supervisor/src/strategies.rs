@@ -22,7 +22,7 @@ use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_provenance::Provenance;
 
 use crate::Failure;
-use crate::options::{channel, check_keys};
+use crate::options::{channel, check_keys, sets};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
@@ -100,7 +100,7 @@ impl Options {
 
     /// Whether a key was set that begins with `beginning`.
     fn sets(&self, beginning: &str) -> bool {
-        self.assignments.iter().any(|assignment| assignment.trim_start().starts_with(beginning))
+        sets(&self.assignments, beginning)
     }
 
     /// The strategies with models, and whether the personal one is scored.

@@ -5,6 +5,8 @@ use std::fmt;
 use tendon_gesture::Class;
 use tendon_signal::{FilterSettings, SignalSettings, WindowInput};
 
+use crate::trained_on::TrainedOn;
+
 /// Version of the metadata's layout that this program reads.
 const CONTRACT_VERSION: &str = "1";
 
@@ -37,79 +39,6 @@ pub struct Contract {
     pub validation_accuracy: Option<f64>,
     /// People, counts and recipe, in words, if the model says so.
     pub provenance: Option<String>,
-}
-
-/// Whom a model was trained on. A number alone names nobody: every data set counts its people from 1.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct TrainedOn {
-    /// Name of the data set, such as `3DC`; `None` if the model does not say, or its recordings are of no known data set.
-    pub data_set: Option<String>,
-    /// Numbers of the people in that data set; empty if the model does not say.
-    pub people: Vec<u16>,
-    /// Sessions of these people that were held out, so that the model has not seen them.
-    pub held_out_sessions: Vec<String>,
-}
-
-/// What a model says instead of the name of a data set if it was trained on recordings of your own. Their people have
-/// nothing to do with those of a data set.
-const OWN_RECORDINGS: &str = "own recordings";
-
-impl TrainedOn {
-    /// Reads it through `lookup`, which gives the metadata's value for a key.
-    pub(crate) fn read(lookup: impl Fn(&str) -> Option<String>) -> Result<TrainedOn, ContractProblem> {
-        let people = lookup("tendon.people_trained").unwrap_or_default();
-        let key = "tendon.held_out_sessions";
-        let sessions = lookup(key).unwrap_or_else(|| "[]".to_owned());
-        Ok(TrainedOn {
-            held_out_sessions: serde_json::from_str(&sessions).map_err(|_| senseless(key, &sessions))?,
-            data_set: lookup("tendon.data_set").filter(|name| !name.is_empty()),
-            people: people
-                .split_whitespace()
-                .map(str::parse)
-                .collect::<Result<Vec<u16>, _>>()
-                .map_err(|_| senseless("tendon.people_trained", &people))?,
-        })
-    }
-
-    /// Those of them who may be people of `data_set`; `None` is recordings of your own. Nobody if the model names another
-    /// data set, everybody if it names none.
-    pub fn people_of(&self, data_set: Option<&str>) -> &[u16] {
-        match &self.data_set {
-            Some(own) if own != data_set.unwrap_or(OWN_RECORDINGS) => &[],
-            _ => &self.people,
-        }
-    }
-
-    /// Whether the model was, or may have been, trained on this session of this person of `data_set`.
-    pub fn knows(&self, data_set: Option<&str>, person: u16, session: &str) -> bool {
-        self.people_of(data_set).contains(&person)
-            && !self.held_out_sessions.iter().any(|held_out| held_out == session)
-    }
-
-    /// Whether this person of `data_set` is one of them; `None` where the model does not say enough to tell.
-    pub fn includes(&self, data_set: Option<&str>, person: u16) -> Option<bool> {
-        let is_known = !self.people.is_empty() && self.data_set.is_some();
-        is_known.then(|| self.people_of(data_set).contains(&person))
-    }
-
-    /// Whether any of `models` was trained on any of `people` of `data_set`; `None` where that cannot be told.
-    pub fn any_includes<'a>(
-        models: impl IntoIterator<Item = &'a TrainedOn>,
-        data_set: Option<&str>,
-        people: &[u16],
-    ) -> Option<bool> {
-        let mut any = Some(false);
-        for model in models {
-            for &person in people {
-                match model.includes(data_set, person) {
-                    Some(true) => return Some(true),
-                    Some(false) => {}
-                    None => any = None,
-                }
-            }
-        }
-        any
-    }
 }
 
 /// What delivers windows to a model: a session, or a data set.
@@ -385,7 +314,7 @@ fn rest_rms(lookup: impl Fn(&str) -> Option<String>, channels: usize) -> Result<
     Err(senseless(key, &lookup(key).unwrap_or_default()))
 }
 
-fn senseless(key: &'static str, value: &str) -> ContractProblem {
+pub(crate) fn senseless(key: &'static str, value: &str) -> ContractProblem {
     ContractProblem::Senseless { key, value: value.to_owned() }
 }
 
@@ -478,54 +407,6 @@ mod tests {
         assert_eq!(text[3], "sequence: the model wants 5 windows together, the session has 1 at a time");
     }
 
-    fn trained_on(data_set: Option<&str>, people: &[u16]) -> TrainedOn {
-        TrainedOn {
-            data_set: data_set.map(str::to_owned),
-            people: people.to_vec(),
-            held_out_sessions: Vec::new(),
-        }
-    }
-
-    #[test]
-    fn people_of_your_own_are_not_those_of_a_data_set_and_a_session_held_out_is_not_known() {
-        let of_own = trained_on(Some("own recordings"), &[3]);
-        assert!(of_own.people_of(Some("3DC")).is_empty(), "the user's 3 is not 3DC's");
-        assert_eq!(of_own.people_of(None), [3]);
-        let with_session = TrainedOn { held_out_sessions: vec!["tuesday".to_owned()], ..of_own.clone() };
-        let knows = |person, session| with_session.knows(None, person, session);
-        assert_eq!((knows(3, "monday"), knows(3, "tuesday"), knows(4, "monday")), (true, false, false));
-        let broken = TrainedOn::read(|key| (key == "tendon.held_out_sessions").then(|| "tuesday".to_owned()));
-        assert!(broken.unwrap_err().to_string().contains("tendon.held_out_sessions"));
-    }
-
-    #[test]
-    fn a_person_is_a_number_in_a_data_set_and_what_cannot_be_told_is_not_guessed() {
-        let of_3dc = trained_on(Some("3DC"), &[1, 3]);
-        let of_own = trained_on(None, &[1, 3]);
-        let silent = trained_on(Some("3DC"), &[]);
-        for (model, data_set, person, expected) in [
-            (&of_3dc, Some("3DC"), 1, Some(true)),
-            (&of_3dc, Some("3DC"), 2, Some(false)),
-            (&of_3dc, Some("Ozdemir 2022"), 1, Some(false)),
-            (&of_3dc, None, 1, Some(false)),
-            (&of_own, Some("3DC"), 1, None),
-            (&of_own, None, 1, None),
-            (&silent, Some("3DC"), 1, None),
-        ] {
-            assert_eq!(model.includes(data_set, person), expected, "{model:?}, {data_set:?}, {person}");
-        }
-        assert!(of_3dc.people_of(Some("Ozdemir 2022")).is_empty());
-        assert!(of_3dc.people_of(None).is_empty(), "recordings of your own are of no data set");
-        assert_eq!(of_own.people_of(None), [1, 3], "they may be the same");
-        assert_eq!(of_own.people_of(Some("3DC")), [1, 3], "they may be the same");
-        let any = |models: &[&TrainedOn], people: &[u16]| {
-            TrainedOn::any_includes(models.iter().copied(), Some("3DC"), people)
-        };
-        assert_eq!(any(&[&of_own, &of_3dc], &[2, 3]), Some(true));
-        assert_eq!(any(&[&of_3dc, &of_own], &[2]), None);
-        assert_eq!(any(&[&of_3dc], &[2, 4]), Some(false));
-    }
-
     #[test]
     fn a_model_may_allow_several_filters_and_the_refusal_names_them() {
         let filter = |notch_hz: Option<f64>, band_pass_order| FilterSettings {
@@ -598,7 +479,9 @@ mod tests {
         .unwrap();
         assert_eq!(contract.sequence_windows, 5);
         assert_eq!(contract.classes, Class::REST_MOVE);
-        assert_eq!(contract.trained_on, trained_on(Some("3DC"), &[1, 3, 14]));
+        let TrainedOn { data_set, people, held_out_sessions } = contract.trained_on;
+        assert_eq!((data_set.as_deref(), people.as_slice()), (Some("3DC"), &[1, 3, 14][..]));
+        assert_eq!(held_out_sessions, Vec::<String>::new());
         assert_eq!(contract.validation_accuracy, Some(0.9123));
     }
 

@@ -13,6 +13,7 @@ mod metadata;
 mod recogniser;
 mod rest;
 mod run;
+mod trained_on;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -23,7 +24,7 @@ use ort::session::builder::GraphOptimizationLevel;
 use ort::value::{TensorElementType, ValueType};
 use tendon_people::{PersonFileError, RecogniseError};
 
-pub use contract::{Contract, ContractProblem, Mismatch, TrainedOn, WindowSource};
+pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
 pub use metadata::trained_on;
 pub use recogniser::{
@@ -32,6 +33,7 @@ pub use recogniser::{
 pub use tendon_people::{Adaptation, Recognition};
 
 pub use rest::{RestCheck, RestDifference};
+pub use trained_on::TrainedOn;
 
 use run::{RunError, Runner};
 

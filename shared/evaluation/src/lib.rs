@@ -28,7 +28,8 @@ pub use continuous::{Asked, CuePart, FALL_MS, Step, StrategyTally};
 pub use evaluation::{ConfusedPair, Evaluation, Spread};
 pub use people::{PeopleError, chosen_people};
 pub use personal::{
-    PersonalError, PersonalScores, PersonalSettings, gather_cohort, prior_without, score_people,
+    PersonalError, PersonalScores, PersonalSettings, SCORED_SESSION, gather_cohort, prior_without,
+    score_people,
 };
 pub use personal_strategy::{Calibrating, PersonalStrategyError, calibrate_person, score_personal};
 pub use score::{OnProgress, ScoreError, Scores, score_dataset, score_recordings};

@@ -66,6 +66,9 @@ pub struct PersonalScores {
     pub evaluation: Evaluation,
 }
 
+/// What is scored of people who are calibrated, in words.
+pub const SCORED_SESSION: &str = "each person's last session, or what is left of an only one";
+
 /// Why nobody can be calibrated and scored.
 #[derive(Debug, thiserror::Error)]
 pub enum PersonalError {
@@ -189,12 +192,12 @@ pub fn score_people(
     let mut skipped = Vec::new();
     let found = ByPerson::list(dataset, paths, &mut skipped)?;
     let chosen = chosen_people(&found.people.keys().copied().collect(), wanted, &BTreeSet::new())?;
-    let features = LaggedLogCovariance::new(method, dataset.channels.len(), dataset.sample_rate_hz, 1.0)?;
-    let shipped = shipped.filter(|cohort| cohort.layout().fits(&features).is_ok());
     let gathered;
     let (cohort, prior_from, read_before) = match shipped {
-        Some(cohort) => (cohort, "the people of the prior that comes with Tendon", 0),
-        None => {
+        Some(cohort) if cohort.serves(method, dataset.channels.len(), dataset.sample_rate_hz)? => {
+            (cohort, "the people of the prior that comes with Tendon", 0)
+        }
+        _ => {
             // What cannot be read is said when the person is scored.
             let total = found.people.len() + chosen.len();
             let mut progress = |done, _| on_progress(done, total);
@@ -212,34 +215,31 @@ pub fn score_people(
             skipped.push(format!("person {number}: {error}"));
         }
     }
-    let tally = scored.tally();
-    let evaluation = Evaluation::of(&tally);
-    if evaluation.windows == 0 {
-        return Err(PersonalError::Nobody(skipped));
-    }
-    let scores = PersonalScores {
-        paths: paths.iter().map(|path| path.display().to_string()).collect(),
-        data_set: found.layout.data_set().map(str::to_owned),
+    scored.finish(ScoredOn {
+        paths,
+        layout: found.layout,
         calibrated_on: format!("the first {repetitions} repetitions of each person's first session"),
-        scored_on: "each person's last session, or what is left of an only one".to_owned(),
         prior_from,
-        prior_people: scored.fewest_others.unwrap_or(0),
-        expected_accuracy: Spread::of(&scored.expected).mean,
-        people: scored.people,
-        longest_fit_s: scored.longest_fit_s,
         skipped,
-        evaluation,
-    };
-    Ok((scores, tally))
+    })
+}
+
+/// What the scores of people are of.
+pub(crate) struct ScoredOn<'a> {
+    pub(crate) paths: &'a [PathBuf],
+    pub(crate) layout: Layout,
+    pub(crate) calibrated_on: String,
+    pub(crate) prior_from: &'static str,
+    pub(crate) skipped: Vec<String>,
 }
 
 /// What the people so far gave.
 #[derive(Default)]
 pub(crate) struct Scored {
-    pub(crate) people: BTreeSet<u16>,
-    pub(crate) expected: Vec<f64>,
-    pub(crate) longest_fit_s: f64,
-    pub(crate) fewest_others: Option<usize>,
+    people: BTreeSet<u16>,
+    expected: Vec<f64>,
+    longest_fit_s: f64,
+    fewest_others: Option<usize>,
     answers: Vec<GivenAnswer>,
 }
 
@@ -273,7 +273,7 @@ impl Scored {
     ) -> Result<(), PersonError> {
         let first = windows.sessions().first().map(String::as_str);
         let calibrating = windows.chosen(first, Some(settings.repetitions));
-        let name: PersonName = format!("person-{number}").parse().expect("letters, a dash and a number");
+        let name = PersonName::of_number(number);
         let begun = Instant::now();
         let person = windows.fit(&calibrating, name, Made::default(), &settings.method, prior, &[])?;
         self.fitted(number, begun.elapsed().as_secs_f64(), prior, person.expected.accuracy);
@@ -318,8 +318,34 @@ impl Scored {
         Ok(())
     }
 
+    /// The scores of all people.
+    ///
+    /// # Errors
+    /// Nobody was scored.
+    pub(crate) fn finish(self, of: ScoredOn<'_>) -> Result<(PersonalScores, Tally), PersonalError> {
+        let tally = self.tally();
+        let evaluation = Evaluation::of(&tally);
+        if evaluation.windows == 0 {
+            return Err(PersonalError::Nobody(of.skipped));
+        }
+        let scores = PersonalScores {
+            paths: of.paths.iter().map(|path| path.display().to_string()).collect(),
+            data_set: of.layout.data_set().map(str::to_owned),
+            calibrated_on: of.calibrated_on,
+            scored_on: SCORED_SESSION.to_owned(),
+            prior_from: of.prior_from,
+            prior_people: self.fewest_others.unwrap_or(0),
+            expected_accuracy: Spread::of(&self.expected).mean,
+            people: self.people,
+            longest_fit_s: self.longest_fit_s,
+            skipped: of.skipped,
+            evaluation,
+        };
+        Ok((scores, tally))
+    }
+
     /// All answers, over the gestures of all people.
-    pub(crate) fn tally(&self) -> Tally {
+    fn tally(&self) -> Tally {
         let made: BTreeSet<Gesture> = self
             .answers
             .iter()

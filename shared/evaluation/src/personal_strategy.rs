@@ -80,7 +80,7 @@ pub fn calibrate_person(
         .filter(|&window| person.calibrates_repetition(windows.origins()[window].repetition_of_all))
         .collect();
     let prior = prior_without(cohort, layout, number)?;
-    let name: PersonName = format!("person-{number}").parse().expect("letters, a dash and a number");
+    let name = PersonName::of_number(number);
     windows
         .fit(&calibrates, name, Made::default(), method, prior.as_ref(), &[])
         .map_err(|problem| PersonalStrategyError::Calibration { person: number, problem })
@@ -123,9 +123,7 @@ fn pipeline_of(
 ) -> Result<Pipeline, PipelineError> {
     let gestures = person.gesture_set();
     let mut modes = settings.decision.modes.clone();
-    for mode in &mut modes {
-        mode.actions.retain(|gesture, _| gestures.number(*gesture).is_some());
-    }
+    modes.iter_mut().for_each(|mode| mode.keep(&gestures));
     let decision =
         DecisionSettings { strategy: Strategy::Personal, gestures, modes, ..settings.decision.clone() };
     let path = Path::new(person.name.as_str());

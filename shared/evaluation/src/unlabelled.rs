@@ -23,9 +23,9 @@ use tendon_gesture::Gesture;
 use tendon_people::{Made, Person, PersonName, PersonalRecogniser, RecogniseError};
 use tendon_recordings::Channel;
 
-use crate::evaluation::{Evaluation, Spread};
+use crate::evaluation::Spread;
 use crate::people::chosen_people;
-use crate::personal::{ByPerson, PersonalError, PersonalScores, Scored};
+use crate::personal::{ByPerson, PersonalError, PersonalScores, Scored, ScoredOn};
 use crate::score::OnProgress;
 use crate::tally::Tally;
 use crate::windows::{PersonWindows, UnlabelledFitError};
@@ -107,25 +107,14 @@ pub fn score_unlabelled(
             Err(error) => skipped.push(format!("person {number}: {error}")),
         }
     }
-    let tally = scored.tally();
-    let evaluation = Evaluation::of(&tally);
-    if evaluation.windows == 0 {
-        return Err(PersonalError::Nobody(skipped));
-    }
-    let of_all: Vec<f64> = unlabelled.iter().filter_map(|person| person.all_stretches_accuracy).collect();
-    let scores = PersonalScores {
-        paths: paths.iter().map(|path| path.display().to_string()).collect(),
-        data_set: found.layout.data_set().map(str::to_owned),
+    let (scores, tally) = scored.finish(ScoredOn {
+        paths,
+        layout: found.layout,
         calibrated_on: format!("the first {stretch_s} s of each person's first session, without labels"),
-        scored_on: "each person's last session, or what is left of an only one".to_owned(),
         prior_from: "the other people of these recordings",
-        prior_people: scored.fewest_others.unwrap_or(0),
-        expected_accuracy: Spread::of(&scored.expected).mean,
-        people: scored.people,
-        longest_fit_s: scored.longest_fit_s,
         skipped,
-        evaluation,
-    };
+    })?;
+    let of_all: Vec<f64> = unlabelled.iter().filter_map(|person| person.all_stretches_accuracy).collect();
     let all_stretches_accuracy = (!of_all.is_empty()).then(|| Spread::of(&of_all).mean);
     Ok((UnlabelledScores { scores, unlabelled, all_stretches_accuracy }, tally))
 }
@@ -239,8 +228,7 @@ impl Calibrating<'_> {
     }
 
     fn fit(&self, windows: &[usize]) -> Result<(Person, Recognised, Vec<usize>), UnlabelledFitError> {
-        let name: PersonName =
-            format!("person-{}", self.number).parse().expect("letters, a dash and a number");
+        let name = PersonName::of_number(self.number);
         self.windows.fit_unlabelled(windows, name, Made::default(), self.method, (self.prior, self.map))
     }
 

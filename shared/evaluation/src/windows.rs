@@ -405,12 +405,8 @@ fn label(gestures: &[Gesture], gesture: Gesture) -> usize {
 
 /// The signal of windows that are cut with these settings.
 fn signal(settings: &DatasetSettings) -> SignalFit {
-    let name = |channel: &Channel| match channel {
-        Channel::Index(index) => index.to_string(),
-        Channel::Name(name) => name.clone(),
-    };
     SignalFit {
-        channels: settings.channels.iter().map(name).collect(),
+        channels: settings.channels.iter().map(Channel::name).collect(),
         sample_rate_hz: settings.sample_rate_hz,
         unit: String::new(),
         window_samples: settings.windows.window_samples,

@@ -11,9 +11,11 @@ use std::fmt;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{FitError, PriorError};
+use crate::covariance::LaggedLogCovariance;
+use crate::error::{FeatureError, FitError, PriorError};
 use crate::population::{GestureMeans, Population};
 use crate::prior::{FeatureLayout, Prior, WithinClassScatter};
+use crate::settings::MethodSettings;
 use crate::training::Training;
 
 const FORMAT: &str = "tendon-prior";
@@ -81,6 +83,22 @@ struct Version {
 }
 
 impl Cohort {
+    /// Whether its priors fit the features of windows of `channels` at `rate_hz`.
+    ///
+    /// # Errors
+    ///
+    /// No windows have such features.
+    pub fn serves(
+        &self,
+        method: &MethodSettings,
+        channels: usize,
+        rate_hz: f64,
+    ) -> Result<bool, FeatureError> {
+        // Which feature is which does not depend on the floor.
+        let features = LaggedLogCovariance::new(method, channels, rate_hz, 1.0)?;
+        Ok(self.layout.fits(&features).is_ok())
+    }
+
     /// Nobody yet.
     pub fn new(layout: FeatureLayout) -> Cohort {
         Cohort { layout, members: Vec::new() }

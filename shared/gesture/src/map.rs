@@ -263,6 +263,13 @@ pub struct Mode {
     pub actions: BTreeMap<Gesture, Action>,
 }
 
+impl Mode {
+    /// Leaves out what gestures do that are not among these.
+    pub fn keep(&mut self, gestures: &GestureSet) {
+        self.actions.retain(|gesture, _| gestures.number(*gesture).is_some());
+    }
+}
+
 /// The paper's table of gestures.
 impl Default for Mode {
     fn default() -> Mode {

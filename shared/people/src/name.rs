@@ -21,6 +21,11 @@ pub struct PersonName(String);
 pub struct InvalidName(pub String);
 
 impl PersonName {
+    /// The name of somebody of whom only the number in a data set is known.
+    pub fn of_number(number: u16) -> PersonName {
+        PersonName(format!("person-{number}"))
+    }
+
     /// The name.
     pub fn as_str(&self) -> &str {
         &self.0

@@ -26,7 +26,7 @@ use super::check::{self, CheckScores};
 use super::round::{Live, RoundEnd};
 use super::{Fitted, Selection, fit, report};
 use crate::options::duration;
-use crate::personal::{personal_windows, recorded_settings};
+use crate::personal::{WINDOWS, personal_windows, recorded_settings};
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// Folder of a person's recordings in that of the person.
@@ -194,7 +194,7 @@ impl Calibration<'_> {
 
 /// The configuration of the source, with a person's windows; a simulated person follows the cues.
 fn configuration(options: &super::Options) -> anyhow::Result<Config> {
-    let mut config = personal_windows(options.base.configuration()?, &options.base);
+    let mut config = personal_windows(options.base.configuration()?, options.base.sets(WINDOWS));
     ensure!(
         config.acquisition.source != Source::Replay,
         "a recording cannot follow cues: calibrate with it by --from, or set acquisition.source to another source"

@@ -4,17 +4,16 @@ use anyhow::anyhow;
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, Layout};
 use tendon_evaluation::{
-    Calibrating, OnProgress, PersonRecordings, StrategyScores, calibrate_person, gather_cohort,
-    score_personal,
+    Calibrating, OnProgress, PersonRecordings, SCORED_SESSION, StrategyScores, calibrate_person,
+    gather_cohort, score_personal,
 };
-use tendon_features::{Cohort, LaggedLogCovariance, MethodSettings};
+use tendon_features::{Cohort, MethodSettings};
 use tendon_gesture::Strategy;
 use tendon_people::Person;
-use tendon_signal::WindowSettings;
 
 use super::{Options, pipeline_settings};
 use crate::Failure;
-use crate::personal::{self, shipped_prior, window_settings};
+use crate::personal::{self, WINDOWS, personal_windows, shipped_prior};
 
 /// Whom all strategies are scored on, and their recognisers.
 pub struct People {
@@ -44,11 +43,7 @@ impl People {
 
     /// In words.
     pub fn scored_on(&self) -> &'static str {
-        if self.people.is_empty() {
-            "all repetitions"
-        } else {
-            "each person's last session, or what is left of an only one"
-        }
+        if self.people.is_empty() { "all repetitions" } else { SCORED_SESSION }
     }
 }
 
@@ -61,7 +56,7 @@ pub fn calibrate(
     recordings: Vec<PersonRecordings>,
     skipped: &mut Vec<String>,
 ) -> Result<People, Failure> {
-    let config = with_windows(options, config);
+    let config = personal_windows(config.clone(), options.sets(WINDOWS));
     let method = MethodSettings::default();
     let dataset = personal::dataset_settings(&config, &options.channels, options.recording_rate_hz);
     let cohort = cohort(options, &dataset, &method)?;
@@ -103,7 +98,8 @@ pub fn score(
     people: &People,
     on_progress: &mut OnProgress<'_>,
 ) -> Result<StrategyScores, Failure> {
-    let pipeline = pipeline_settings(&with_windows(options, config), Strategy::Personal);
+    let pipeline =
+        pipeline_settings(&personal_windows(config.clone(), options.sets(WINDOWS)), Strategy::Personal);
     let recordings = &people.recordings;
     score_personal(&pipeline, config.inference.adaptation, settings, recordings, &people.people, on_progress)
         .map_err(Failure::running)
@@ -111,22 +107,13 @@ pub fn score(
 
 /// The people who make the prior: those that come with Tendon, where they fit, or else those of these recordings.
 fn cohort(options: &Options, dataset: &DatasetSettings, method: &MethodSettings) -> Result<Cohort, Failure> {
-    let features = LaggedLogCovariance::new(method, dataset.channels.len(), dataset.sample_rate_hz, 1.0)
-        .map_err(Failure::input)?;
-    let shipped = shipped_prior().map_err(Failure::input)?;
-    if let Some(cohort) = shipped.filter(|cohort| cohort.layout().fits(&features).is_ok()) {
+    let (channels, rate_hz) = (dataset.channels.len(), dataset.sample_rate_hz);
+    if let Some(cohort) = shipped_prior().map_err(Failure::input)?
+        && cohort.serves(method, channels, rate_hz).map_err(Failure::input)?
+    {
         return Ok(cohort);
     }
     // What cannot be read is said when it is scored.
     gather_cohort(&options.recordings, dataset, method, &mut Vec::new(), &mut |_, _| {})
         .map_err(Failure::input)
-}
-
-/// The configuration with a person's windows, unless others are asked for.
-fn with_windows(options: &Options, config: &Config) -> Config {
-    let mut config = config.clone();
-    if !options.sets("dsp.windows") && config.dsp.windows == WindowSettings::default() {
-        config.dsp.windows = window_settings(config.acquisition.sample_rate_hz);
-    }
-    config
 }

@@ -30,6 +30,16 @@ impl From<&str> for Channel {
     }
 }
 
+impl Channel {
+    /// What it is called, without the quotes of a message: its name, or its number.
+    pub fn name(&self) -> String {
+        match self {
+            Channel::Index(index) => index.to_string(),
+            Channel::Name(name) => name.clone(),
+        }
+    }
+}
+
 impl fmt::Display for Channel {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
