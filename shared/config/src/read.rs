@@ -147,6 +147,8 @@ mod tests {
     fn every_key() -> Config {
         let mut config = Config::default();
         config.acquisition.program = Some("x".into());
+        config.acquisition.channel_selection = Some(vec![]);
+        config.acquisition.unit = Some("x".into());
         config.acquisition.simulate.profile = Some("x".into());
         config.acquisition.simulate.clip_at = Some(1.0);
         config.acquisition.replay.path = Some("x".into());
