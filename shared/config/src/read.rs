@@ -158,6 +158,7 @@ mod tests {
         config.inference.model = Some("x".into());
         config.inference.rest_move_model = Some("x".into());
         config.inference.person = Some("x".into());
+        config.inference.person_checksum = Some("x".into());
         config.inference.runtime_library = Some("x".into());
         config.decision.long_grip_s = Some(1.0);
         config.robot.xarm.address = Some("127.0.0.1".parse().unwrap());

@@ -257,6 +257,9 @@ pub struct InferenceSettings {
     pub rest_move_model: Option<PathBuf>,
     /// The file of the person, for the strategy `personal`; `tendon calibrate` makes it.
     pub person: Option<PathBuf>,
+    /// The checksum of the person in that file. `tendon run` sets it, so that a stage that is started again in the middle of
+    /// the session refuses a file that was replaced.
+    pub person_checksum: Option<String>,
     /// Whether the person's recogniser follows them during use.
     pub adaptation: Adaptation,
     /// ONNX Runtime's shared library; when left out, `ORT_DYLIB_PATH`, then what
