@@ -98,7 +98,11 @@ struct Made {
 }
 
 impl Made {
-    fn read(path: &Path, before: u64, progress: &mut impl FnMut(u64)) -> Result<(Made, u64), SessionFileError> {
+    fn read(
+        path: &Path,
+        before: u64,
+        progress: &mut impl FnMut(u64),
+    ) -> Result<(Made, u64), SessionFileError> {
         let mut reader = Reader::open(path)?.without_samples();
         let mut epochs = Epochs::default();
         let mut start_ns = None;
@@ -170,7 +174,12 @@ fn differences<T>(
 
 fn prediction_difference(first: &PredictionRecord, second: &PredictionRecord) -> Option<String> {
     first_that_differs([
-        ("novelty", format!("{:?}", first.novelty.0), format!("{:?}", second.novelty.0), first.novelty == second.novelty),
+        (
+            "novelty",
+            format!("{:?}", first.novelty.0),
+            format!("{:?}", second.novelty.0),
+            first.novelty == second.novelty,
+        ),
         (
             "probabilities",
             numbers(&first.probabilities),
@@ -182,7 +191,8 @@ fn prediction_difference(first: &PredictionRecord, second: &PredictionRecord) ->
 }
 
 fn command_difference(first: &CommandRecord, second: &CommandRecord) -> Option<String> {
-    let number = |name, first: u32, second: u32| (name, first.to_string(), second.to_string(), first == second);
+    let number =
+        |name, first: u32, second: u32| (name, first.to_string(), second.to_string(), first == second);
     let byte = |name, first: u8, second: u8| number(name, first.into(), second.into());
     first_that_differs([
         byte("gesture", first.gesture, second.gesture),

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 use tendon_messages::{
-    CommandHeader, MeasurementHeader, PredictionHeader, STAGE_COUNT, Stage, StateHeader, Trace, WindowContext,
-    WindowHeader,
+    CommandHeader, MeasurementHeader, PredictionHeader, STAGE_COUNT, Stage, StateHeader, Trace,
+    WindowContext, WindowHeader,
 };
 
 use crate::block::Block;

@@ -152,16 +152,8 @@ fn of_window(more: &[(&str, Value)]) -> Value {
 fn of_state() -> Value {
     let arrays = ["joints_rad", "position_mm", "orientation_rad"].map(|name| (name, numbers()));
     let values = ["speed_mm_per_s", "gripper_position", "confidence", "start_distance_mm"];
-    let codes = [
-        "gesture",
-        "permission",
-        "stop_reason",
-        "fault_code",
-        "arm_phase",
-        "hindrance",
-        "mode",
-        "is_unsure",
-    ];
+    let codes =
+        ["gesture", "permission", "stop_reason", "fault_code", "arm_phase", "hindrance", "mode", "is_unsure"];
     let values = values.map(|name| (name, number()));
     let codes = codes.map(|name| (name, integer()));
     object(&[&[("trace", trace())][..], &arrays[..], &values[..], &codes[..]].concat())

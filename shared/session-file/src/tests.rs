@@ -163,7 +163,8 @@ fn what_was_written_reads_back() {
     session.dsp_says(7, 0);
     let event = Event { at_ns: 5, kind: EventKind::Note, text: "Elektrode 3 \"lose\"\n".to_owned() };
     session.messages.push(Message::Event(event));
-    let cue = Cue { since_sample: 3, captured_ns: 9, class_number: Some(2), gesture: Some("fist".to_owned()) };
+    let cue =
+        Cue { since_sample: 3, captured_ns: 9, class_number: Some(2), gesture: Some("fist".to_owned()) };
     session.messages.push(Message::Cue(cue));
     let (messages, is_whole) = read(&session.file(5));
     assert!(is_whole);
@@ -184,7 +185,9 @@ fn a_file_that_was_cut_anywhere_gives_what_lies_in_its_whole_chunks() {
         let (messages, is_whole) = read(&bytes[..length]);
         // All in order and none twice; nothing that was whole before is missing.
         assert_eq!(messages, session.messages[..messages.len()], "cut at {length}");
-        assert!(messages.len() >= most && (messages.len() % 3 == 0 || messages.len() == session.messages.len()));
+        assert!(
+            messages.len() >= most && (messages.len() % 3 == 0 || messages.len() == session.messages.len())
+        );
         assert!(!is_whole || messages.len() == session.messages.len(), "cut at {length}");
         most = messages.len();
     }
@@ -218,7 +221,8 @@ fn windows_that_a_stage_left_out_are_marked_and_those_that_dsp_left_out_are_miss
     let mut marks = ReplayMarks::read(&path).unwrap();
     assert!(!marks.begins_anew(0));
     let seen: Vec<Option<u8>> = (0..7).map(|window| marks.window(window * INCREMENT_SAMPLES)).collect();
-    let [inference, decision] = [ReplayMark::LeftOutByInference, ReplayMark::LeftOutByDecision].map(ReplayMark::bit);
+    let [inference, decision] =
+        [ReplayMark::LeftOutByInference, ReplayMark::LeftOutByDecision].map(ReplayMark::bit);
     assert_eq!(seen, [Some(0), Some(0), None, Some(0), Some(inference), Some(0), Some(decision)]);
 }
 
@@ -244,7 +248,10 @@ fn a_stage_that_began_anew_is_marked_where_it_did() {
     session.dsp_says(2, 13);
     let (_folder, path) = file_of(&session);
     let mut marks = ReplayMarks::read(&path).unwrap();
-    let anew: Vec<u64> = (0..session.blocks).map(|block| block * BLOCK_SAMPLES).filter(|first| marks.begins_anew(*first)).collect();
+    let anew: Vec<u64> = (0..session.blocks)
+        .map(|block| block * BLOCK_SAMPLES)
+        .filter(|first| marks.begins_anew(*first))
+        .collect();
     assert_eq!(anew, [130]);
     let marked = |first_sample| marks.window(first_sample);
     assert_eq!(marked(40), Some(ReplayMark::LeftOutByInference.bit()));
@@ -290,7 +297,8 @@ fn two_recordings_are_compared_window_by_window() {
     second.block(3);
     let (_second_folder, second_path) = file_of(&second);
     let found = compare(&first_path, &second_path, |_| ()).unwrap();
-    let counts = |found: &Differences| (found.same, found.different, found.only_in_first, found.only_in_second);
+    let counts =
+        |found: &Differences| (found.same, found.different, found.only_in_first, found.only_in_second);
     assert_eq!(counts(&found.predictions), (4, 0, 1, 1));
     assert_eq!(counts(&found.commands), (4, 1, 0, 1));
     assert_eq!(found.differences(), 4);

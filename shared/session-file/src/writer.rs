@@ -71,8 +71,13 @@ impl<W: Write + Seek> Writer<W> {
             let encoding = if kind == ChannelKind::Blocks { BLOCK_ENCODING } else { JSON_ENCODING };
             *id = file.add_channel(schema, kind.topic(), encoding, &BTreeMap::new())?;
         }
-        let mut writer =
-            Writer { file, channels, counts: [0; CHANNELS.len()], offset_ns, bytes: Vec::with_capacity(4096) };
+        let mut writer = Writer {
+            file,
+            channels,
+            counts: [0; CHANNELS.len()],
+            offset_ns,
+            bytes: Vec::with_capacity(4096),
+        };
         let facts = [
             ("version", VERSION.to_owned()),
             ("session", name.to_owned()),
