@@ -96,7 +96,8 @@ impl Topics {
         Ok(())
     }
 
-    /// Messages that came too fast, by topic; only those of which there are any.
+    /// Messages that came too fast, by topic; only those of which there are any. Of measurements it is not known: each stage
+    /// numbers its own. Every batch has the counts of those before it.
     pub fn lost(&self) -> BTreeMap<String, u64> {
         let lost = [
             (BLOCKS.name, self.blocks.lost()),
@@ -104,7 +105,6 @@ impl Topics {
             (PREDICTIONS.name, self.predictions.lost()),
             (COMMANDS.name, self.commands.lost()),
             (STATES.name, self.states.lost()),
-            (MEASUREMENTS.name, self.measurements.lost()),
         ];
         lost.into_iter()
             .filter(|(_, count)| *count > 0)
