@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 pub use error::{DaqmxError, LoadError, Trouble};
-pub use settings::{NidaqmxSettings, Terminal};
+pub use settings::{InvalidNidaqmxSetting, NidaqmxSettings, Terminal};
 pub use task::Task;
 
 use crate::functions::Functions;

@@ -34,6 +34,18 @@ impl Terminal {
     }
 }
 
+/// A setting that no device can take.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{key} = {value}: {remedy}")]
+pub struct InvalidNidaqmxSetting {
+    /// The key.
+    pub key: &'static str,
+    /// Its value.
+    pub value: String,
+    /// What can be done.
+    pub remedy: &'static str,
+}
+
 /// How an NI device is to measure.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -62,5 +74,53 @@ impl Default for NidaqmxSettings {
             buffer_s: 1.0,
             library: None,
         }
+    }
+}
+
+impl NidaqmxSettings {
+    /// Refuses what no device can take.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidNidaqmxSetting`] with the key and what to do.
+    pub fn check(&self) -> Result<(), InvalidNidaqmxSetting> {
+        let refuse = |key, value: String, remedy| Err(InvalidNidaqmxSetting { key, value, remedy });
+        if self.channels.trim().is_empty() || self.channels.contains('\0') {
+            let remedy = "name the analog inputs as the driver does, such as cDAQ1Mod1/ai0:3";
+            return refuse("channels", format!("{:?}", self.channels), remedy);
+        }
+        let [lowest, highest] = self.range_v;
+        if !(lowest.is_finite() && highest.is_finite() && lowest < highest) {
+            let remedy = "take the lowest and the highest voltage, such as [-5.0, 5.0]";
+            return refuse("range_v", format!("{:?}", self.range_v), remedy);
+        }
+        if !(self.gain.is_finite() && self.gain > 0.0) {
+            let remedy = "take the gain of the amplifier before the device, such as 1000; 1 for none";
+            return refuse("gain", self.gain.to_string(), remedy);
+        }
+        if !(0.1..=60.0).contains(&self.buffer_s) {
+            return refuse("buffer_s", self.buffer_s.to_string(), "take 0.1 to 60 s");
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_that_no_device_takes_are_refused_by_key() {
+        assert_eq!(NidaqmxSettings::default().check(), Ok(()));
+        let refused = |change: fn(&mut NidaqmxSettings)| {
+            let mut settings = NidaqmxSettings::default();
+            change(&mut settings);
+            settings.check().unwrap_err().key
+        };
+        assert_eq!(refused(|settings| settings.channels = " ".to_owned()), "channels");
+        assert_eq!(refused(|settings| settings.range_v = [1.0, f64::NAN]), "range_v");
+        assert_eq!(refused(|settings| settings.range_v = [1.0, 1.0]), "range_v");
+        assert_eq!(refused(|settings| settings.gain = 0.0), "gain");
+        assert_eq!(refused(|settings| settings.buffer_s = f64::INFINITY), "buffer_s");
     }
 }
