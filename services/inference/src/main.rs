@@ -159,7 +159,7 @@ impl Consumer<WindowHeader, f32> for Inference {
             self.rest = None;
         }
         let Recognition { probabilities, efforts, novelty } =
-            self.recogniser.recognise(window.payload(), header.context.first_sample)?;
+            self.recogniser.recognise(window.payload(), header.context.first_sample, header.novelty)?;
         let prediction = PredictionHeader { trace, context: header.context, novelty };
         let published_ns = self.predictions.publish(prediction, 2 * probabilities.len(), |payload| {
             let (first, second) = payload.split_at_mut(probabilities.len());

@@ -59,7 +59,7 @@ pub struct Recognition<'a> {
     /// How hard it is made if it is this gesture, from 0 (the person's rest) to 1 (a comfortable contraction). 0 for rest.
     pub efforts: &'a [f32],
     /// Distance to the nearest gesture over the person's limit: above 1, the window is unlike anything in the
-    /// calibration.
+    /// calibration. 0 from a network.
     pub novelty: f32,
 }
 
