@@ -153,7 +153,9 @@ impl Decider {
     /// Whether a window can say anything. With a person, a strange one is weighed among the others.
     fn is_usable(&self, evidence: &Evidence<'_>) -> bool {
         let is_known = self.settings.strategy == Strategy::Personal || evidence.novelty <= 1.0;
-        is_known && evidence.intact && evidence.probabilities.iter().all(|probability| probability.is_finite())
+        is_known
+            && evidence.intact
+            && evidence.probabilities.iter().all(|probability| probability.is_finite())
     }
 
     fn recognise(&self, evidence: &Evidence<'_>) -> (Gesture, f32) {
@@ -320,12 +322,9 @@ mod tests {
     #[test]
     fn damaged_and_strange_windows_hold_the_arm_still_and_are_no_rest_of_the_person() {
         let ulnar = certain(Gesture::ULNAR);
-        for (probabilities, intact, novelty) in [
-            (ulnar, false, 0.0),
-            ([f32::NAN; 6], true, 0.0),
-            (ulnar, true, 1.1),
-            (ulnar, true, f32::NAN),
-        ] {
+        for (probabilities, intact, novelty) in
+            [(ulnar, false, 0.0), ([f32::NAN; 6], true, 0.0), (ulnar, true, 1.1), (ulnar, true, f32::NAN)]
+        {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             for _ in 0..5 {
                 let evidence = Evidence {
