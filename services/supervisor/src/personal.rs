@@ -7,7 +7,7 @@ use anyhow::{Context, ensure};
 use tendon_config::{Config, Source};
 use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
-use tendon_gesture::{GestureSet, Strategy};
+use tendon_gesture::{Gesture, GestureSet, Strategy};
 use tendon_people::{People, Person, PersonName, SignalOffer};
 use tendon_recordings::{Channel, RecordedSession};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
@@ -35,12 +35,12 @@ const LARGEST_PRIOR: u64 = 256 << 20;
 /// How recordings are cut into windows to calibrate on.
 pub fn dataset_settings(
     config: &Config,
-    channels: &[usize],
+    channels: &[Channel],
     recording_rate_hz: Option<f64>,
 ) -> DatasetSettings {
     let default = DatasetSettings::default();
     DatasetSettings {
-        channels: channels.iter().copied().map(Channel::Index).collect(),
+        channels: channels.to_vec(),
         recording_rate_hz,
         sample_rate_hz: config.acquisition.sample_rate_hz,
         filter: Some(config.dsp.filter.clone()),
@@ -56,7 +56,7 @@ pub fn dataset_settings(
 /// its beginning is learnt, too.
 pub fn calibration_settings(
     config: &Config,
-    channels: &[usize],
+    channels: &[Channel],
     recording_rate_hz: Option<f64>,
 ) -> DatasetSettings {
     let onset = DatasetSettings::default().onset;
@@ -92,6 +92,44 @@ pub fn personal_windows(config: Config, sets_windows: bool) -> Config {
 
 fn samples_of_ms(ms: f64, rate_hz: f64) -> usize {
     ((ms * 1e-3 * rate_hz).round() as usize).max(1)
+}
+
+/// Windows and the steps between them, in words.
+pub fn windows_in_words(windows: &WindowSettings, rate_hz: f64) -> String {
+    let ms = |samples: usize| (1e3 * samples as f64 / rate_hz).round();
+    format!("windows of {} ms every {} ms", ms(windows.window_samples), ms(windows.increment_samples))
+}
+
+/// How to ask for the windows of a person; nothing where these are such.
+pub fn how_to_get_personal_windows(windows: &WindowSettings, rate_hz: f64) -> String {
+    let window_samples = samples_of_ms(WINDOW_MS, rate_hz);
+    if windows.window_samples == window_samples {
+        return String::new();
+    }
+    format!(
+        " (tendon calibrate has {WINDOW_MS} ms; to get these: --set dsp.windows.window_samples={window_samples})"
+    )
+}
+
+/// Refuses gestures that the simulated person does not know. `whose` gestures they are.
+///
+/// # Errors
+///
+/// Both lists.
+pub fn check_simulated(config: &Config, whose: &str, gestures: &[Gesture]) -> anyhow::Result<()> {
+    let (emg, _) = config.acquisition.open_simulation()?;
+    let known = emg.gestures();
+    let names = |gestures: &mut dyn Iterator<Item = Gesture>| {
+        gestures.map(|gesture| gesture.to_string()).collect::<Vec<_>>().join(", ")
+    };
+    ensure!(
+        gestures.iter().all(|gesture| known.number(*gesture).is_some()),
+        "the simulated person cannot make all gestures of {whose}, which are {}; it makes {}: choose among these, or a \
+         profile with the others (acquisition.simulate.profile)",
+        names(&mut gestures.iter().copied()),
+        names(&mut known.iter())
+    );
+    Ok(())
 }
 
 /// Sets a session up for a person, who is named or whose file is: what the user left at its default becomes the person's.
@@ -167,10 +205,17 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
 pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Result<()> {
     let acquisition = &config.acquisition;
     let is_replay = acquisition.source == Source::Replay;
-    // The other sources do not say their unit.
-    let is_simulated = acquisition.source == Source::Simulate && acquisition.program.is_none();
-    let profile = is_simulated.then(|| acquisition.simulate.read_profile()).transpose()?;
-    let unit = profile.map_or_else(String::new, |profile| profile.unit);
+    if is_simulated(config) {
+        let gestures: Vec<Gesture> = person.gesture_set().iter().collect();
+        check_simulated(config, person.name.as_str(), &gestures)?;
+    }
+    // Other sources do not say their unit.
+    let unit = match &acquisition.replay.path {
+        _ if is_simulated(config) => Some(acquisition.simulate.read_profile()?.unit),
+        Some(path) if is_replay => RecordedSession::beside(path)?.map(|session| session.unit),
+        _ => None,
+    };
+    let unit = unit.unwrap_or_default();
     let named = acquisition.replay.channels.as_ref().filter(|_| is_replay);
     let names: Option<Vec<String>> = named.map(|channels| channels.iter().map(Channel::name).collect());
     let mut differences: Vec<String> = person
@@ -203,6 +248,11 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
         differences.join("; ")
     );
     Ok(())
+}
+
+/// Whether the source is the simulated person that comes with Tendon.
+pub fn is_simulated(config: &Config) -> bool {
+    config.acquisition.source == Source::Simulate && config.acquisition.program.is_none()
 }
 
 /// The people of the prior that comes with Tendon; `None` where it is not installed.

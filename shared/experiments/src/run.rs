@@ -17,6 +17,7 @@ use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_output::{OutputFile, OutputFolder, collect};
 use tendon_pipeline::PipelineSettings;
 use tendon_provenance::Provenance;
+use tendon_recordings::Channel;
 use tendon_report::Report;
 use tendon_signal::{FilterSettings, SignalSettings};
 
@@ -317,7 +318,8 @@ impl Run<'_> {
             signal: SignalSettings { filter, ..SignalSettings::default() },
             decision: DecisionSettings::default(),
         };
-        let settings = tendon_evaluation::dataset_settings(&pipeline_settings, &self.source.channels);
+        let channels: Vec<Channel> = self.source.channels.iter().copied().map(Channel::Index).collect();
+        let settings = tendon_evaluation::dataset_settings(&pipeline_settings, &channels);
         let test_people: BTreeSet<u16> = self.source.test_people.iter().copied().collect();
         let found = list(&settings, from_ref(&self.source.recordings))?;
         let recordings: Vec<Recording> = found
