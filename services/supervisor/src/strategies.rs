@@ -167,8 +167,8 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     check_distinct(&json, [], options.inputs()).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
     let config = configuration(options).map_err(Failure::input)?;
-    let settings = settings(options, &config).map_err(Failure::input)?;
     let mut pipelines = pipelines(options, &config).map_err(Failure::input)?;
+    let settings = settings(options, &config).map_err(Failure::input)?;
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let (layout, data_set) = (found.layout, found.layout.data_set());
     let known: BTreeSet<u16> = found.recordings.iter().map(|recording| recording.person).collect();
