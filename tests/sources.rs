@@ -7,16 +7,18 @@ use tendon_system_tests::{TendonBuilder, unique_session};
 fn a_device_that_pushes_samples_by_its_own_clock_is_acquired_by_a_program_of_its_own() {
     let program = format!("acquisition.program={}", env!("CARGO_BIN_EXE_push-device"));
     let ended = TendonBuilder::run(&unique_session())
-        .args(&["--set", "acquisition.source=device", "--set", &program, "--duration", "4s"])
+        .args(&["--set", "acquisition.source=device", "--set", &program, "--duration", "6s"])
         .end();
     let report = ended.report();
     assert_eq!(report.source, "device");
-    // 800 are due.
+    // 1200 are due.
     let blocks = report.messages["blocks"];
-    assert!((400..=810).contains(&blocks.published), "{report:#?}");
+    assert!((600..=1210).contains(&blocks.published), "{report:#?}");
     assert_eq!(blocks.lost, 0, "{report:#?}");
     // The one that the device lost, and those that this machine was too slow for.
     assert!(report.skipped_blocks >= 1, "{report:#?}");
+    assert_eq!(report.lost_samples, 10, "{report:#?}");
+    assert!(report.clock_drift_ppm.is_some(), "{report:#?}");
     assert!(report.newest_sample_to_command.count > 0, "{report:#?}");
 }
 

@@ -150,6 +150,11 @@ pub struct MeasurementHeader {
     /// Messages not acted on because their newest sample was too old; at the source: blocks skipped because
     /// the process could not keep up.
     pub stale: u64,
+    /// At the source: samples of each channel that it lost, by gaps in its own numbers.
+    pub lost_samples: u64,
+    /// At the source: how much faster than CLOCK_MONOTONIC its clock counts, in parts per million; NaN when it has none
+    /// or that is not known yet.
+    pub clock_drift_ppm: f64,
     /// NaN and infinite samples replaced.
     pub replaced_samples: u64,
     /// Heap allocations of the process since it began.

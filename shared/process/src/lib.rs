@@ -60,6 +60,18 @@ pub struct Ready {
     pub scheduling: Scheduling,
     /// What a user may want to know, such as the model or the recording.
     pub detail: String,
+    /// Of a source that knows it: what it measures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub signal: Option<SignalDescription>,
+}
+
+/// What a source measures, as it says itself.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SignalDescription {
+    /// Names of the channels, in the order of the samples.
+    pub channels: Vec<String>,
+    /// Unit of the samples; empty if nobody knows.
+    pub unit: String,
 }
 
 /// A stage's own work: what it does with each message of its one input.
@@ -138,10 +150,24 @@ impl StageProcess {
     ///
     /// When standard output is closed or the measurements cannot be published.
     pub fn ready(&mut self, detail: &str) -> Result<(), ProcessError> {
+        self.say_ready(detail, None)
+    }
+
+    /// As [`StageProcess::ready`], for a source that knows what it measures.
+    ///
+    /// # Errors
+    ///
+    /// As [`StageProcess::ready`].
+    pub fn ready_with_signal(&mut self, detail: &str, signal: SignalDescription) -> Result<(), ProcessError> {
+        self.say_ready(detail, Some(signal))
+    }
+
+    fn say_ready(&mut self, detail: &str, signal: Option<SignalDescription>) -> Result<(), ProcessError> {
         let ready = Ready {
             stage: self.stage.name().to_owned(),
             scheduling: self.scheduling.clone(),
             detail: detail.to_owned(),
+            signal,
         };
         self.measurements.publish()?;
         let line = serde_json::to_string(&ready).map_err(|error| ProcessError::Ready(error.into()))?;

@@ -26,6 +26,8 @@ pub struct Counts {
     pub lost: u64,
     /// Messages not acted on because they were too old; at the source: blocks it skipped.
     pub stale: u64,
+    /// Samples of each channel that the source lost.
+    pub lost_samples: u64,
     /// NaN and infinite samples replaced.
     pub replaced_samples: u64,
 }
@@ -37,6 +39,7 @@ impl Counts {
             published: self.published + header.published,
             lost: self.lost + header.lost,
             stale: self.stale + header.stale,
+            lost_samples: self.lost_samples + header.lost_samples,
             replaced_samples: self.replaced_samples + header.replaced_samples,
         }
     }
@@ -142,6 +145,13 @@ impl Default for SessionMeasurements {
 }
 
 impl SessionMeasurements {
+    /// How much faster than CLOCK_MONOTONIC the source's clock counts, in parts per million; `None` when it has none or
+    /// that is not known.
+    pub fn clock_drift_ppm(&self) -> Option<f64> {
+        let newest = &self.stages[Stage::Acquisition.index()].newest;
+        (newest.published > 0 && newest.clock_drift_ppm.is_finite()).then_some(newest.clock_drift_ppm)
+    }
+
     /// Takes a batch of a stage's measurements. Batches of a stage that does not exist are passed over.
     pub fn absorb(&mut self, header: &MeasurementHeader, batch: &[Measurement]) {
         let Some(stage) = Stage::from_number(header.stage) else {

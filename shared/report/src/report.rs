@@ -46,6 +46,13 @@ pub struct Report {
     pub messages: BTreeMap<String, MessageCounts>,
     /// Blocks that the source left out because it could not keep up: they are on no topic.
     pub skipped_blocks: u64,
+    /// Samples of each channel that the source lost.
+    #[serde(default)]
+    pub lost_samples: u64,
+    /// How much faster than this computer's clock the source's own counts, in parts per million. Missing when it has none
+    /// or that did not become known. Samples are never resampled because of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clock_drift_ppm: Option<f64>,
     /// Samples that were NaN or infinite and replaced.
     pub replaced_samples: u64,
     /// Batches of measurements that came too fast to be gathered. Their messages are in `messages`, but in no latency.
@@ -348,6 +355,8 @@ impl Report {
             command_to_wire: LatencySummary::of(&measurements.command_to_wire),
             messages: messages.collect(),
             skipped_blocks: measurements.counts(Stage::Acquisition).stale,
+            lost_samples: measurements.counts(Stage::Acquisition).lost_samples,
+            clock_drift_ppm: measurements.clock_drift_ppm(),
             replaced_samples: measurements.counts(Stage::Dsp).replaced_samples,
             lost_measurement_batches: measurements.lost_batches(),
             allocations: Stage::ALL
@@ -423,6 +432,7 @@ mod tests {
             "command_to_wire",
             "messages",
             "skipped_blocks",
+            "lost_samples",
             "replaced_samples",
             "allocations",
             "recognition",

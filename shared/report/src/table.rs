@@ -70,8 +70,18 @@ impl Report {
         if self.restarts > 0 {
             writeln!(out, "stages  ended and were started again: {}", self.restarts)?;
         }
+        if self.lost_samples > 0 {
+            writeln!(out, "source  lost {} samples of each channel", self.lost_samples)?;
+        }
         if self.skipped_blocks > 0 {
-            writeln!(out, "source  could not keep up and left out {} blocks", self.skipped_blocks)?;
+            writeln!(
+                out,
+                "source  {} blocks were lost, or too late to act upon, and left out",
+                self.skipped_blocks
+            )?;
+        }
+        if let Some(drift_ppm) = self.clock_drift_ppm {
+            writeln!(out, "source  its clock counts {drift_ppm:+.1} ppm faster than this computer's")?;
         }
         if self.lost_measurement_batches > 0 {
             writeln!(

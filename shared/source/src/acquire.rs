@@ -43,6 +43,7 @@ pub fn acquire(
         delivery: process.config.delivery(),
         next_sample: 0,
     };
+    process.measurements.counts.clock_drift_ppm = f64::NAN;
     if acquisition.wait_for_start(process, source)? {
         source.start()?;
         acquisition.run(process, source)?;
@@ -97,10 +98,15 @@ impl Acquisition {
                 Next::End => return Ok(finish(process)?),
             };
             // Counted while there is time: a block that was prepared ahead goes out at once when it is due.
-            let non_finite = loan.payload_mut().iter().filter(|sample| !sample.is_finite()).count();
+            let written = &loan.payload_mut()[..self.channels * block.samples];
+            let non_finite = written.iter().filter(|sample| !sample.is_finite()).count();
+            if block.samples < self.block_samples {
+                loan = self.shortened(&mut loan, block.samples)?;
+            }
             if block.publish_at_ns > 0 && !wait_until(process, source, block.publish_at_ns)? {
                 break;
             }
+            process.measurements.counts.clock_drift_ppm = source.clock_drift_ppm().unwrap_or(f64::NAN);
             match self.publish(process, loan, block, non_finite as u32) {
                 // Being stopped while the next stage takes nothing more is no failure.
                 Err(_) if process.control.is_stopped() => break,
@@ -108,6 +114,18 @@ impl Acquisition {
             }
         }
         Ok(())
+    }
+
+    /// A loan that holds just the `samples` of each channel at the beginning of `loan`.
+    fn shortened(
+        &mut self,
+        loan: &mut Loan<BlockHeader, f32>,
+        samples: usize,
+    ) -> Result<Loan<BlockHeader, f32>, PublishError> {
+        let length = self.channels * samples;
+        let mut short = self.blocks.loan(length)?;
+        short.payload_mut().copy_from_slice(&loan.payload_mut()[..length]);
+        Ok(short)
     }
 
     /// Publishes a block, unless it is too late to act upon.
@@ -119,8 +137,9 @@ impl Acquisition {
         non_finite_samples: u32,
     ) -> Result<(), AcquireError> {
         let lost_samples = block.first_sample.saturating_sub(self.next_sample);
+        process.measurements.counts.lost_samples += lost_samples;
         process.measurements.counts.stale += lost_samples.div_ceil(self.block_samples as u64);
-        self.next_sample = block.first_sample + self.block_samples as u64;
+        self.next_sample = block.first_sample + block.samples as u64;
         let is_stale = now_ns().saturating_sub(block.captured_ns) > STALE_NS;
         if is_stale && self.delivery == Delivery::Live {
             process.measurements.counts.stale += 1;
@@ -132,7 +151,7 @@ impl Acquisition {
             sample_rate_hz: self.sample_rate_hz,
             truth: block.truth,
             channels: self.channels as u32,
-            samples: self.block_samples as u32,
+            samples: block.samples as u32,
             non_finite_samples,
         };
         let published_ns = self.blocks.send(loan, header)?;

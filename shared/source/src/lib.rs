@@ -2,13 +2,15 @@
 //!
 //! ```text
 //! device ───── its own clock, a descriptor ─────┐
-//!                                               ├─▶ Source ─▶ acquire: wait, fill in shared memory, publish
+//!       chunks of any length ─▶ BlockAssembler ─┼─▶ Source ─▶ acquire: wait, fill in shared memory, publish
 //! simulated person, recording ─▶ Paced, due ────┘
 //! ```
 //!
 //! A source owns its clock. It says what to wait for (a descriptor or a time), and each of its blocks says which
 //! sample comes first and when the newest one was captured, CLOCK_MONOTONIC. A device has no due times: it has a
 //! clock of its own, which [`DeviceClock`] maps to ours, and a counter of samples, whose gaps are lost samples.
+//! [`Offer`] says what an amplifier has, and which channels of it a session takes, in which unit.
+//! [`BlockAssembler`] makes blocks of the chunks that a device or a network delivers.
 //! [`Paced`] gives due times to what has no clock: the simulated person and recordings.
 //!
 //! A program that acquires from a vendor's library implements [`Source`] and calls [`acquire`] from
@@ -16,8 +18,11 @@
 #![forbid(unsafe_code)]
 
 mod acquire;
+mod assemble;
 mod clock;
+mod offer;
 mod paced;
+mod unit;
 
 use std::error::Error;
 use std::os::fd::BorrowedFd;
@@ -26,8 +31,11 @@ use tendon_gesture::Gesture;
 use tendon_messages::Truth;
 
 pub use acquire::{AcquireError, acquire, open_blocks};
+pub use assemble::{BlockAssembler, Chunk};
 pub use clock::DeviceClock;
+pub use offer::{Choice, Offer, OfferError, OfferedChannel};
 pub use paced::{BlockMaker, Pace, Paced};
+pub use unit::{UnitError, canonical_unit, unit_factor};
 
 /// What to wait for until [`Source::next_block`] may have a block.
 #[derive(Clone, Copy, Debug)]
@@ -45,6 +53,8 @@ pub enum Wait<'a> {
 pub struct Block {
     /// Index of its first sample since the source began, those that were lost included.
     pub first_sample: u64,
+    /// Samples of each channel: fewer than a block holds where samples are missing after them, otherwise as many.
+    pub samples: usize,
     /// When its newest sample was captured, CLOCK_MONOTONIC ns.
     pub captured_ns: u64,
     /// When it is to be published, CLOCK_MONOTONIC ns: later than now for a block that was prepared ahead of its
@@ -89,12 +99,19 @@ pub trait Source {
     /// What to wait for before the next call of [`Source::next_block`].
     fn wait(&self) -> Wait<'_>;
 
-    /// Writes the next block, `[channels × samples]`, channel-major, into `samples` if it is there. Does not wait.
+    /// Writes the next block, `[channels × samples]`, channel-major, into `samples` if it is there. A block of fewer
+    /// samples lies at the beginning of `samples`. Does not wait.
     ///
     /// # Errors
     ///
     /// [`SourceError`] when the source broke off.
     fn next_block(&mut self, samples: &mut [f32]) -> Result<Next, SourceError>;
+
+    /// How much faster than CLOCK_MONOTONIC the source's own clock counts, in parts per million; `None` when it has none
+    /// or that is not known yet.
+    fn clock_drift_ppm(&self) -> Option<f64> {
+        None
+    }
 
     /// The person at the keyboard, or the simulated user, makes this gesture from now on, at an effort from 0 to 1.
     /// Sources with a person of their own pass over it.

@@ -88,7 +88,13 @@ impl<M: BlockMaker> Source for Paced<M> {
             }
             Pace::Full => (now_ns(), 0),
         };
-        Ok(Next::Block(Block { first_sample, captured_ns, publish_at_ns, truth }))
+        Ok(Next::Block(Block {
+            first_sample,
+            samples: self.block_samples,
+            captured_ns,
+            publish_at_ns,
+            truth,
+        }))
     }
 
     fn set_gesture(&mut self, gesture: Gesture, effort: f32) {

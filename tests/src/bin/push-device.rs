@@ -66,6 +66,10 @@ impl Source for Device {
         Ok(())
     }
 
+    fn clock_drift_ppm(&self) -> Option<f64> {
+        self.clock.drift_ppm()
+    }
+
     fn wait(&self) -> Wait<'_> {
         self.pipe.as_ref().map_or(Wait::Nothing, |pipe| Wait::Readable(pipe.as_fd()))
     }
@@ -91,7 +95,13 @@ impl Source for Device {
         }
         self.bytes.clear();
         let captured_ns = self.clock.captured_ns(device_ns, received_ns);
-        Ok(Next::Block(Block { first_sample, captured_ns, publish_at_ns: 0, truth: Truth::default() }))
+        Ok(Next::Block(Block {
+            first_sample,
+            samples: self.block_samples,
+            captured_ns,
+            publish_at_ns: 0,
+            truth: Truth::default(),
+        }))
     }
 }
 
