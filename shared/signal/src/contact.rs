@@ -201,6 +201,9 @@ mod tests {
     /// Rest, and when a disturbance begins and ends, s.
     const DISTURBED_S: [f64; 2] = [7.0, 9.0];
 
+    /// What a channel shows at a sample, given what the muscles do.
+    type Disturbance = Box<dyn FnMut(usize, f32) -> f32>;
+
     /// White noise of deviation 1, the same in every run.
     struct Noise(u32);
 
@@ -298,7 +301,7 @@ mod tests {
         let mut loud_noise = move || 5.0 * REST_RMS * noise.next();
         let hum = |at| sine(at, 50.0, 10.0 * f64::from(REST_RMS));
         let removed_hum = |at| sine(at, 60.0, 10.0 * f64::from(REST_RMS));
-        let mut disturbances: [(&str, Box<dyn FnMut(usize, f32) -> f32>); 6] = [
+        let mut disturbances: [(&str, Disturbance); 6] = [
             ("flat at zero", Box::new(|_, _| 0.0)),
             ("flat at the end of the range", Box::new(|_, _| 8191.0)),
             ("hum", Box::new(move |at, _| hum(at))),
