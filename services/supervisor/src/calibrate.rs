@@ -28,7 +28,7 @@ use tendon_recordings::RecordedSession;
 
 use crate::Failure;
 use crate::options::{Base, WINDOW_KEYS, channel};
-use crate::output::{checked, left_out, print};
+use crate::output::{checked_private, left_out, print};
 use crate::personal::{WINDOWS, calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
 
@@ -97,7 +97,7 @@ struct Learnt<'a> {
 
 /// Fits a person and keeps them.
 pub fn calibrate(options: &Options) -> Result<(), Failure> {
-    let json = checked(options.json.as_deref())?;
+    let json = checked_private(options.json.as_deref())?;
     let inputs = options.from.iter().map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&json, [], inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
