@@ -170,7 +170,13 @@ fn what_nobody_can_be_asked_is_refused_before_anything_is_recorded() {
     let refused = |arguments: &[&str], parts: &[&str]| {
         calibrate(people.path(), "stranger-22", arguments).end().assert_failed(2, parts);
     };
-    refused(&["--gestures", "extension,fist"], &["the simulated person cannot make it", "fist"]);
+    refused(
+        &["--gestures", "extension,fist"],
+        &[
+            "the simulated person cannot make all gestures",
+            "extension, fist; it makes rest, extension, flexion",
+        ],
+    );
     refused(&["--gestures", "grip,grip"], &["the gesture grip is named twice"]);
     refused(&["--hold", "100ms"], &["a gesture of 0.1 s"]);
     refused(&["--redo", "grip"], &["anna has no recording", "without --redo"]);

@@ -272,6 +272,9 @@ fn what_does_not_fit_a_session_is_named_in_words() {
     assert_eq!(said(&fewer), ["channels: calibrated with 4 (0, 3, 5, 8), the session has 3"]);
     let unknown = SignalOffer { channel_names: None, unit: "", filter: None, ..offer };
     assert_eq!(said(&unknown), [""; 0], "what is not known is not compared");
+    let mut counts = person.clone();
+    counts.signal.unit = "adc_counts".to_owned();
+    assert_eq!(counts.differences(&SignalOffer { unit: "ADC counts", ..offer }), [], "another spelling");
 }
 
 fn findings(change: impl Fn(usize, &mut [f32], u32, usize)) -> Vec<Finding> {
@@ -412,4 +415,47 @@ fn people_are_kept_by_name_for_their_owner_alone() {
     let text = std::fs::read_to_string(&file).expect("the file");
     std::fs::write(&file, &text[..text.len() - 9]).expect("cut short");
     assert!(matches!(people.find(&anna), Err(PeopleError::File(_))));
+}
+
+#[test]
+fn what_changed_of_each_channel_since_the_calibration_is_measured() {
+    let person = person();
+    let later = record(&gestures(), 1, 5);
+    let stronger: Vec<f32> = later
+        .samples
+        .iter()
+        .enumerate()
+        .map(|(at, sample)| if at / SAMPLES % CHANNELS == 2 { 3.0 * sample } else { *sample })
+        .collect();
+    let made = later.labels.iter().map(|&label| later.gestures[label]);
+    let shifts = person.shifts(made.zip(stronger.chunks_exact(CHANNELS * SAMPLES)));
+    for (channel, shift) in shifts.iter().enumerate() {
+        let expected = if channel == 2 { 3.0 } else { 1.0 };
+        assert!((shift.rest / expected - 1.0).abs() < 0.03, "{shift:?}");
+        assert!((shift.gestures / expected - 1.0).abs() < 0.03, "{shift:?}");
+    }
+    assert_eq!(shifts[2].name, "5");
+}
+
+#[test]
+fn what_is_as_weak_as_rest_counts_for_nothing_in_what_is_expected() {
+    let recorded = |pauses: bool| {
+        let mut recorded = record(&gestures(), 2, 1);
+        let mut noise = Noise(11);
+        for (number, samples) in recorded.samples.chunks_exact_mut(CHANNELS * SAMPLES).enumerate() {
+            // The person begins late: a third of each gesture is rest still.
+            if pauses && number % 30 < 10 {
+                samples.copy_from_slice(&window(&mut noise, &[1.0; CHANNELS]));
+            }
+        }
+        fit(&recorded).expect("a person").expected
+    };
+    let prompt = recorded(false);
+    assert!(prompt.without_effort_share < 0.01 && prompt.accuracy > 0.99, "{prompt:?}");
+    let late = recorded(true);
+    assert!((late.without_effort_share - 1.0 / 3.0).abs() < 0.05, "{late:?}");
+    // If all windows counted, a third of each gesture would be taken for rest.
+    assert!(late.accuracy > 0.9, "{late:?}");
+    let counted: usize = late.confusion.iter().flatten().sum();
+    assert!(counted < 240 - 50, "{late:?}");
 }

@@ -111,6 +111,15 @@ impl RecordedSession {
         }
     }
 
+    /// Reads what a recording is of whose file is at `path`, or a file below it; `None` for one that Tendon did not record.
+    ///
+    /// # Errors
+    ///
+    /// [`RecorderError::Session`] if the description cannot be understood.
+    pub fn beside(path: &Path) -> Result<Option<RecordedSession>, RecorderError> {
+        path.parent().map_or(Ok(None), RecordedSession::read)
+    }
+
     /// Reads what the recording in `folder` is of; `None` where none was recorded.
     ///
     /// # Errors
