@@ -32,7 +32,7 @@ use tendon_recordings::{Channel, RecordedSession};
 use crate::Failure;
 use crate::channels::{channels_or_default, named_by_recordings};
 use crate::options::{Base, WINDOW_KEYS, named_channel, unit};
-use crate::output::{checked, left_out, print};
+use crate::output::{checked_private, left_out, print};
 use crate::personal::{WINDOWS, calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
 
@@ -104,7 +104,7 @@ struct Learnt<'a> {
 
 /// Fits a person and keeps them.
 pub fn calibrate(options: &Options) -> Result<(), Failure> {
-    let json = checked(options.json.as_deref())?;
+    let json = checked_private(options.json.as_deref())?;
     let inputs = options.from.iter().map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&json, [], inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);

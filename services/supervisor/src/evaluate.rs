@@ -13,7 +13,7 @@ use tendon_dataset::{DatasetSettings, StoredDataset};
 use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
 use tendon_figures::write_score_figures;
 use tendon_identity::PersonId;
-use tendon_output::{OutputFolder, check_distinct, collect};
+use tendon_output::{OutputFile, OutputFolder, check_distinct, collect};
 use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
 
@@ -95,6 +95,8 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let inputs = options.paths.iter().chain(&options.model).map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&json, &figures, inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
+    // What recognises single people belongs to them.
+    let json = if options.model.is_some() { json } else { json.map(OutputFile::private) };
     if let Some(repetitions) = options.calibrate_repetitions {
         return people::evaluate(options, repetitions, json, figures, begun);
     }

@@ -12,7 +12,7 @@ use tendon_output::check_distinct;
 use crate::Failure;
 use crate::channels::channels_or_default;
 use crate::options::{Base, WINDOW_KEYS, channel};
-use crate::output::{checked, print};
+use crate::output::{checked_private, print};
 use crate::personal::{WINDOWS, dataset_settings, personal_windows};
 use crate::progress::Works;
 
@@ -38,7 +38,7 @@ pub struct Options {
 
 /// Gathers a prior and writes it.
 pub fn gather(options: &Options) -> Result<(), Failure> {
-    let out = checked(Some(&options.out))?;
+    let out = checked_private(Some(&options.out))?;
     let inputs = options.recordings.iter().map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&out, [], inputs).map_err(Failure::input)?;
     let config = options.base.configuration_of("tendon prior", &WINDOW_KEYS).map_err(Failure::input)?;

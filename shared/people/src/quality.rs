@@ -14,6 +14,7 @@ use std::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 
 use crate::effort::{quantile, rms};
+use crate::person::LARGEST_VALUE;
 
 /// The frequencies of the mains.
 const MAINS_HZ: [f64; 2] = [50.0, 60.0];
@@ -88,7 +89,7 @@ impl ChannelQuality {
         *rest_rms >= 0.0
             && [rest_rms, signal_to_noise_db, mains_share, mains_hz, clipped_share]
                 .iter()
-                .all(|value| value.is_finite())
+                .all(|value| value.abs() <= LARGEST_VALUE)
     }
 }
 
