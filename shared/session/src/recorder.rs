@@ -152,13 +152,14 @@ impl Recorder {
 fn hear(output: ChildStdout, events: Sender<Event>) -> std::io::Result<Receiver<Heard>> {
     let (sender, heard) = channel();
     std::thread::Builder::new().name("hear recorder".to_owned()).spawn(move || {
-        for line in BufReader::new(output).lines().map_while(Result::ok) {
-            if let Ok(said) = serde_json::from_str(&line) {
-                // Nobody listens any more once the session is over.
-                let _ = sender.send(Heard::Said(said)).map(|()| events.send(Event::Recorder));
+        let said = BufReader::new(output).lines().map_while(Result::ok);
+        let said = said.filter_map(|line| serde_json::from_str(&line).ok()).map(Heard::Said);
+        for heard in said.chain(std::iter::once_with(|| Heard::Closed)) {
+            // Nobody listens any more once the session is over.
+            if sender.send(heard).is_ok() {
+                let _ = events.send(Event::Recorder);
             }
         }
-        let _ = sender.send(Heard::Closed).map(|()| events.send(Event::Recorder));
     })?;
     Ok(heard)
 }
