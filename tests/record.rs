@@ -119,7 +119,7 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     ask(&name, &["note", "electrode 3 is loose"])
         .assert_failed(2, &["is not being recorded", "--record FOLDER"]);
-    let mut session = start_recording(&name, folder.path());
+    let session = start_recording(&name, folder.path());
     let noted = ask(&name, &["note", "electrode 3 is loose"]);
     assert!(noted.output.starts_with("noted in "), "{noted:#?}");
     kill(session.stage("recorder"), Signal::SIGKILL).unwrap();
@@ -141,7 +141,7 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
 fn a_full_disk_and_a_deleted_file_stop_the_recording_and_not_the_session() {
     let name = unique_session();
     let folder = tempfile::tempdir().unwrap();
-    let mut session = start_recording(&name, folder.path());
+    let session = start_recording(&name, folder.path());
     let recorder = session.stage("recorder").to_string();
     // What a full disk does: no byte more.
     let limited = Command::new("prlimit").args(["--fsize=1000", "--pid", &recorder]).status().unwrap();
@@ -154,7 +154,7 @@ fn a_full_disk_and_a_deleted_file_stop_the_recording_and_not_the_session() {
 
     let name = unique_session();
     let folder = tempfile::tempdir().unwrap();
-    let mut session = start_recording(&name, folder.path());
+    let session = start_recording(&name, folder.path());
     std::fs::remove_file(file_in(folder.path()).unwrap()).unwrap();
     wait_until("the note on it", || session.errors_so_far().contains("was deleted or moved").then_some(()));
     session.signal(Signal::SIGINT);
