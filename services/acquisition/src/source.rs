@@ -39,8 +39,9 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
             let (recording, description) = Recording::open(config)?;
             (Box::new(Paced::new(recording, pace, samples)), description)
         }
-        SourceKind::Device => bail!(
-            "acquisition.source = \"device\": this program reads no device; acquisition.program names the one that does"
+        other => bail!(
+            "acquisition.source = \"{}\": this program reads no amplifier; another one does, or acquisition.program names it",
+            other.name()
         ),
     })
 }

@@ -1,12 +1,14 @@
 //! What keeps a session from running on this machine: `tendon run` refuses it, `tendon doctor` shows it.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use tendon_classifier::{Recogniser, RecogniserFiles, WindowSource};
 use tendon_config::{Config, Gestures, Source};
 use tendon_emg_simulation::Script;
 use tendon_gesture::Strategy;
+use tendon_lsl::{Lsl, LslSettings};
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, TWIST_LENGTH, WINDOWS,
 };
@@ -15,6 +17,9 @@ use tendon_session::check_source_program;
 use tendon_transport::{required_bytes, shared_memory_directory};
 
 use crate::provenance;
+
+/// How long a stream of LSL is looked for.
+const LSL_LOOK: Duration = Duration::from_millis(500);
 
 /// Refuses a session that would run out of shared memory, because that kills the process which touches the
 /// page that is missing (SIGBUS). Returns the free and the needed bytes.
@@ -122,6 +127,21 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
             let columns = summary.channels.join(", ");
             Ok(format!("{}, {:.1} s, columns {columns}", first.display(), summary.duration_s))
         }
+        Source::Lsl => lsl(&acquisition.lsl),
         Source::Device => Ok("a device".to_owned()),
     }
+}
+
+/// Loads liblsl and looks for the stream that a session would read, for a moment only.
+fn lsl(settings: &LslSettings) -> anyhow::Result<String> {
+    let library = tendon_lsl::find_library(settings.library.as_deref())?;
+    let lsl = Lsl::load(&library)?;
+    let found = lsl.find(settings, LSL_LOOK)?;
+    let streams: Vec<String> = found.iter().map(|stream| stream.facts.to_string()).collect();
+    let streams = if streams.is_empty() {
+        format!("no stream with {} now: `tendon sources` lists those there are", settings.describe())
+    } else {
+        streams.join("; ")
+    };
+    Ok(format!("LSL: {}, version {}; {streams}", library.display(), lsl.version()))
 }

@@ -80,6 +80,7 @@ impl Config {
             ("acquisition.program", &self.acquisition.program),
             ("acquisition.simulate.profile", &self.acquisition.simulate.profile),
             ("acquisition.replay.path", &self.acquisition.replay.path),
+            ("acquisition.lsl.library", &self.acquisition.lsl.library),
             ("inference.model", &self.inference.model),
             ("inference.rest_move_model", &self.inference.rest_move_model),
             ("inference.person", &self.inference.person),
@@ -163,6 +164,7 @@ impl Config {
             }
             self.check_channels("acquisition.replay.channels", acquisition.replay.channels.as_deref())?;
         }
+        acquisition.lsl.check().map_err(section("acquisition.lsl"))?;
         if acquisition.source.is_amplifier() {
             if acquisition.unit.as_ref().is_some_and(|unit| unit.trim().is_empty()) {
                 let remedy = "name a unit, such as mV, or leave the key out";

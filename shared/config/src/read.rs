@@ -31,6 +31,7 @@ impl Config {
         [
             &mut self.acquisition.program,
             &mut self.acquisition.replay.path,
+            &mut self.acquisition.lsl.library,
             &mut self.inference.model,
             &mut self.inference.rest_move_model,
             &mut self.inference.person,
@@ -155,6 +156,7 @@ mod tests {
         config.acquisition.replay.sample_rate_hz = Some(1.0);
         config.acquisition.replay.channels = Some(vec![]);
         config.acquisition.replay.repetition = Some(0);
+        config.acquisition.lsl.library = Some("x".into());
         config.inference.model = Some("x".into());
         config.inference.rest_move_model = Some("x".into());
         config.inference.person = Some("x".into());

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
+use tendon_lsl::LslSettings;
 use tendon_people::Adaptation;
 use tendon_recordings::{Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary};
 use tendon_signal::SignalSettings;
@@ -63,6 +64,8 @@ pub enum Source {
     Simulate,
     /// A recording.
     Replay,
+    /// A stream of the Lab Streaming Layer.
+    Lsl,
     /// A device, which the program `acquisition.program` reads.
     Device,
 }
@@ -73,6 +76,7 @@ impl Source {
         match self {
             Source::Simulate => "simulate",
             Source::Replay => "replay",
+            Source::Lsl => "lsl",
             Source::Device => "device",
         }
     }
@@ -82,6 +86,7 @@ impl Source {
     pub fn program(self) -> Option<&'static str> {
         match self {
             Source::Simulate | Source::Replay => Some("tendon-acquisition"),
+            Source::Lsl => Some("tendon-acquire-lsl"),
             Source::Device => None,
         }
     }
@@ -114,6 +119,8 @@ pub struct AcquisitionSettings {
     pub simulate: SimulateSettings,
     /// The recording to replay.
     pub replay: ReplaySettings,
+    /// The stream of the Lab Streaming Layer.
+    pub lsl: LslSettings,
 }
 
 impl Default for AcquisitionSettings {
@@ -128,6 +135,7 @@ impl Default for AcquisitionSettings {
             unit: None,
             simulate: SimulateSettings::default(),
             replay: ReplaySettings::default(),
+            lsl: LslSettings::default(),
         }
     }
 }
@@ -546,7 +554,7 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_settings_file() {
-        for source in [Source::Simulate, Source::Replay, Source::Device] {
+        for source in [Source::Simulate, Source::Replay, Source::Lsl, Source::Device] {
             assert_eq!(toml::Value::try_from(source).unwrap().as_str(), Some(source.name()));
         }
         for backend in [Backend::Simulate, Backend::XArm] {

@@ -470,6 +470,8 @@ mod tests {
         let mut config = Config::default();
         let folder = Path::new("/opt/tendon");
         assert_eq!(source_program(&config, folder), folder.join("tendon-acquisition"));
+        config.acquisition.source = tendon_config::Source::Lsl;
+        assert_eq!(source_program(&config, folder), folder.join("tendon-acquire-lsl"));
         config.acquisition.program = Some("/home/me/acquire".into());
         assert_eq!(source_program(&config, folder), Path::new("/home/me/acquire"));
     }
