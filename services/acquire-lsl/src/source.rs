@@ -21,7 +21,6 @@ const ODDITIES_INTERVAL: Duration = Duration::from_secs(10);
 /// The stream that a session reads.
 pub struct LslSource {
     lsl: Lsl,
-    settings: LslSettings,
     stream: StreamFacts,
     /// Until it is started.
     inlet: Option<Inlet>,
@@ -51,7 +50,6 @@ impl LslSource {
             BlockAssembler::new(settings.channels, settings.block_samples, settings.sample_rate_hz);
         Ok(LslSource {
             lsl,
-            settings: settings.lsl.clone(),
             inlet: Some(inlet),
             reader: None,
             choice,
@@ -118,7 +116,7 @@ impl LslSource {
 impl Source for LslSource {
     fn start(&mut self) -> Result<(), SourceError> {
         if let Some(inlet) = self.inlet.take() {
-            let reader = Reader::start(self.lsl, inlet, &self.stream, &self.settings);
+            let reader = Reader::start(self.lsl, inlet, &self.stream);
             self.reader = Some(reader.map_err(SourceError::new)?);
         }
         Ok(())

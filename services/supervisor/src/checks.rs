@@ -132,8 +132,25 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
     }
 }
 
-/// Loads liblsl and looks for the stream that a session would read, for a moment only.
-fn lsl(settings: &LslSettings) -> anyhow::Result<String> {
+/// Loads what gives a session's results to other programs, if that is asked for.
+///
+/// # Errors
+///
+/// When it is not there.
+pub fn outlets(config: &Config) -> anyhow::Result<()> {
+    if config.outlets.lsl {
+        let library = tendon_lsl::find_library(config.acquisition.lsl.library.as_deref());
+        library.and_then(|library| Lsl::load(&library)).context("outlets.lsl (--lsl-out)")?;
+    }
+    Ok(())
+}
+
+/// Loads liblsl and looks for the stream that a session would read, for a moment only. Says what is there.
+///
+/// # Errors
+///
+/// When there is no liblsl.
+pub fn lsl(settings: &LslSettings) -> anyhow::Result<String> {
     let library = tendon_lsl::find_library(settings.library.as_deref())?;
     let lsl = Lsl::load(&library)?;
     let found = lsl.find(settings, LSL_LOOK)?;
@@ -143,5 +160,5 @@ fn lsl(settings: &LslSettings) -> anyhow::Result<String> {
     } else {
         streams.join("; ")
     };
-    Ok(format!("LSL: {}, version {}; {streams}", library.display(), lsl.version()))
+    Ok(format!("{}, version {}; {streams}", library.display(), lsl.version()))
 }

@@ -27,6 +27,7 @@ mod provenance;
 mod run;
 mod screen;
 mod session_outputs;
+mod sources;
 mod strategies;
 mod zones;
 
@@ -63,6 +64,8 @@ enum Command {
     Stop(order::Options),
     /// Permit the arm of a running session to move again, once the muscles have been at rest.
     Arm(order::Options),
+    /// List where samples can come from: streams on the network, and what is configured.
+    Sources(sources::Options),
     /// Check what this machine offers a session, and say how to mend what is wrong.
     Doctor(doctor::Options),
     /// Profiles of the simulated amplifier.
@@ -114,6 +117,7 @@ fn main() -> ExitCode {
         Command::Latency(options) => latency::show(&options),
         Command::Stop(options) => order::give(&options, Order::Stop),
         Command::Arm(options) => order::give(&options, Order::Arm),
+        Command::Sources(options) => sources::list(&options),
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),

@@ -18,8 +18,8 @@ use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, gesture_keys,
-    stop_on_signals,
+    Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer,
+    gesture_keys, stop_on_signals,
 };
 use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::{Contraction, TaskRun};
@@ -34,6 +34,9 @@ use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, zones};
 const TICK: Duration = Duration::from_millis(50);
 /// The same with a task: the simulated user answers no later than a person would notice.
 const TASK_TICK: Duration = Duration::from_millis(20);
+
+/// The program that gives what a session decides to the Lab Streaming Layer.
+const LSL_OUTLET: &str = "tendon-lsl-outlet";
 
 /// Runs a session. However it ends, the files that were asked for are written; not with a configuration that makes no
 /// sense, because it may name one of them as an input.
@@ -111,6 +114,7 @@ fn run_configured(
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     known.configured(config)?;
+    checks::outlets(config).map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
     Leftovers::remove(&lock, &config.session);
@@ -171,6 +175,11 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
+    let mut outlet = if config.outlets.lsl {
+        Some(Companion::start(LSL_OUTLET, config, &terminal.errors).map_err(Failure::running)?)
+    } else {
+        None
+    };
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
@@ -187,6 +196,7 @@ fn watch_until_the_end(
             let Contraction { gesture, effort } = contraction;
             watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: effort as f32 });
         }
+        outlet.iter_mut().for_each(Companion::look);
         terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
         if turn == Turn::Over || is_over {

@@ -49,6 +49,11 @@ impl Config {
             self.robot.arm.check_for_real_arm().map_err(section("robot.arm"))?;
         }
         self.check_speed()?;
+        if self.outlets.lsl && self.delivery() == Delivery::Lossless {
+            let remedy =
+                "a replay at full speed would wait for who reads the streams: replay at the true pace";
+            return refuse("outlets.lsl", true, remedy);
+        }
         self.task.check().map_err(section("task"))
     }
 

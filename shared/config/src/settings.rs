@@ -37,6 +37,8 @@ pub struct Config {
     pub robot: RobotSettings,
     /// The target-zone task of `tendon run --task`.
     pub task: TaskSettings,
+    /// What is given to other programs.
+    pub outlets: OutletSettings,
     /// What is asked of the kernel's scheduler.
     pub scheduling: SchedulingSettings,
 }
@@ -51,6 +53,7 @@ impl Default for Config {
             decision: DecisionSettings::default(),
             robot: RobotSettings::default(),
             task: TaskSettings::default(),
+            outlets: OutletSettings::default(),
             scheduling: SchedulingSettings::default(),
         }
     }
@@ -347,6 +350,14 @@ impl Default for RobotSettings {
             xarm: XArmSettings::default(),
         }
     }
+}
+
+/// What a session gives to other programs.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OutletSettings {
+    /// Predictions, commands and markers as streams of the Lab Streaming Layer.
+    pub lsl: bool,
 }
 
 /// Whether real-time scheduling is used.

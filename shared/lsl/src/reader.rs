@@ -28,7 +28,9 @@ const PULL_WAIT: Duration = Duration::from_millis(50);
 /// So long without a sample, a stream counts as lost. The arm has stopped long before: it needs a command every 150 ms.
 const SILENCE: Duration = Duration::from_millis(400);
 /// Time between two looks for a stream that is lost.
-const LOOK_INTERVAL: Duration = Duration::from_millis(500);
+const LOOK_INTERVAL: Duration = Duration::from_millis(200);
+/// How long it may take to answer such a look: liblsl asks each port of known peers only after 0.5 s.
+const LOOK: Duration = Duration::from_millis(1200);
 /// How long a stream may take to answer each time.
 const ANSWER: Duration = Duration::from_secs(1);
 /// How long the clock of a stream may take: it is measured by a series of questions.
@@ -67,18 +69,13 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Reads `inlet`, which is open, from now on: what came before is passed over. `stream` is what it says, and `settings` is how
-    /// it was found and is found again.
+    /// Reads `inlet`, which is open, from now on: what came before is passed over. `stream` is what it says. When it is lost, it
+    /// is looked for by its name, type and source id.
     ///
     /// # Errors
     ///
     /// [`LslError::Thread`] when the system grants no thread or socket, [`LslError::Timeout`] when nobody knows the clock.
-    pub fn start(
-        lsl: Lsl,
-        inlet: Inlet,
-        stream: &StreamFacts,
-        settings: &LslSettings,
-    ) -> Result<Reader, LslError> {
+    pub fn start(lsl: Lsl, inlet: Inlet, stream: &StreamFacts) -> Result<Reader, LslError> {
         let (socket, sender) = UnixStream::pair().map_err(LslError::Thread)?;
         socket.set_nonblocking(true).map_err(LslError::Thread)?;
         let channels = stream.channels;
@@ -88,7 +85,7 @@ impl Reader {
         let correction_s = inlet.time_correction(CLOCK_ANSWER)?;
         let mut pump = Pump {
             lsl,
-            settings: settings.clone(),
+            again: again(stream),
             stream: stream.clone(),
             sender,
             stop: stop.clone(),
@@ -172,10 +169,21 @@ fn frame_words(samples: usize, channels: usize) -> usize {
     HEAD + samples + (samples * channels).div_ceil(2)
 }
 
+/// What finds this stream, and no other, when it was started again.
+fn again(stream: &StreamFacts) -> LslSettings {
+    LslSettings {
+        name: stream.name.clone(),
+        content_type: stream.content_type.clone(),
+        source_id: stream.source_id.clone(),
+        ..LslSettings::default()
+    }
+}
+
 /// The thread's side.
 struct Pump {
     lsl: Lsl,
-    settings: LslSettings,
+    /// How it is found again.
+    again: LslSettings,
     /// What the stream was at first, and has to be when it comes back.
     stream: StreamFacts,
     sender: UnixStream,
@@ -256,35 +264,29 @@ impl Pump {
         if self.looked.elapsed() < LOOK_INTERVAL {
             return;
         }
-        let found = self.lsl.find(&self.settings, LOOK_INTERVAL).unwrap_or_default();
+        let found = self.lsl.find_first(&self.again, LOOK).unwrap_or_default();
         self.looked = Instant::now();
         let same = |stream: &&Stream| stream.facts.uid == self.stream.uid;
         if inlet.is_some() && found.iter().any(|stream| same(&stream)) {
             return;
         }
-        let Some(stream) = self.choose(&found) else { return };
+        let stream = match &found[..] {
+            [] => return,
+            [only] => only,
+            several => {
+                let list: Vec<String> = several.iter().map(|stream| stream.facts.to_string()).collect();
+                return self
+                    .refuse(format!("several could be it: {}. Let only one of them run", list.join("; ")));
+            }
+        };
+        if self.stop.load(Ordering::Relaxed) {
+            return;
+        }
         // The old connection may only look alive.
         *inlet = None;
         match self.connect(stream) {
             Ok(opened) => *inlet = Some(opened),
             Err(refusal) => self.refuse(refusal),
-        }
-    }
-
-    /// The one of those found that is the lost one, started again.
-    fn choose<'a>(&mut self, found: &'a [Stream]) -> Option<&'a Stream> {
-        let is_it = |stream: &&Stream| {
-            stream.facts.name == self.stream.name && stream.facts.source_id == self.stream.source_id
-        };
-        match (found, &found.iter().filter(is_it).collect::<Vec<_>>()[..]) {
-            ([], _) => None,
-            (_, [only]) => Some(only),
-            ([only], _) => Some(only),
-            _ => {
-                let list: Vec<String> = found.iter().map(|stream| stream.facts.to_string()).collect();
-                self.refuse(format!("several could be it: {}. Let only one of them run", list.join("; ")));
-                None
-            }
         }
     }
 

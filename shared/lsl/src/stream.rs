@@ -12,8 +12,8 @@ use crate::{LslError, LslSettings};
 const MOST_STREAMS: usize = 256;
 /// Most channels whose description is read; beyond it the stream is more likely damaged than meant.
 const MOST_CHANNELS: usize = 4096;
-/// How long others are listened for once one stream has answered.
-const OTHERS: Duration = Duration::from_millis(300);
+/// How long others are listened for once one stream has answered: liblsl asks each port of known peers only after 0.5 s.
+const OTHERS: Duration = Duration::from_secs(1);
 
 /// In which form a stream carries its values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -200,31 +200,38 @@ impl Lsl {
         })
     }
 
-    /// The streams that these settings mean. Waits up to `wait` for the first one, and a moment longer for others.
+    /// The streams that these settings mean. Waits up to `wait` for the first one, and a second longer for others.
     ///
     /// # Errors
     ///
     /// [`LslError::Text`] when the settings hold a zero byte.
     pub fn find(self, settings: &LslSettings, wait: Duration) -> Result<Vec<Stream>, LslError> {
-        let predicate = c_text(&settings.predicate())?;
-        let resolve = |minimum: i32, wait: Duration| {
-            // SAFETY: the text lives through the call; as many handles as there is room for are written.
-            self.found(|infos| unsafe {
-                (self.functions.resolve_bypred)(
-                    infos.as_mut_ptr(),
-                    infos.len() as u32,
-                    predicate.as_ptr(),
-                    minimum,
-                    wait.as_secs_f64(),
-                )
-            })
-        };
-        let first = resolve(1, wait);
+        let first = self.find_first(settings, wait)?;
         if first.is_empty() {
             return Ok(first);
         }
-        let all = resolve(0, OTHERS);
+        let all = self.resolve(settings, 0, OTHERS)?;
         Ok(if all.len() > first.len() { all } else { first })
+    }
+
+    /// The same, but only those that answer as soon as the first one.
+    pub(crate) fn find_first(self, settings: &LslSettings, wait: Duration) -> Result<Vec<Stream>, LslError> {
+        self.resolve(settings, 1, wait)
+    }
+
+    /// Waits until at least `minimum` streams have answered, all the time if that is 0.
+    fn resolve(self, settings: &LslSettings, minimum: i32, wait: Duration) -> Result<Vec<Stream>, LslError> {
+        let predicate = c_text(&settings.predicate())?;
+        // SAFETY: the text lives through the call; as many handles as there is room for are written.
+        Ok(self.found(|infos| unsafe {
+            (self.functions.resolve_bypred)(
+                infos.as_mut_ptr(),
+                infos.len() as u32,
+                predicate.as_ptr(),
+                minimum,
+                wait.as_secs_f64(),
+            )
+        }))
     }
 
     fn found(self, resolve: impl FnOnce(&mut [Info]) -> i32) -> Vec<Stream> {

@@ -109,12 +109,12 @@ pub enum ChildrenError {
 /// The configuration that the stages read: in memory, sealed, under a descriptor that they inherit. There is no file that
 /// somebody else could put another in place of.
 #[derive(Debug)]
-struct SealedConfig {
+pub(crate) struct SealedConfig {
     memory: OwnedFd,
 }
 
 impl SealedConfig {
-    fn new(text: &str) -> std::io::Result<SealedConfig> {
+    pub(crate) fn new(text: &str) -> std::io::Result<SealedConfig> {
         // Not closed on exec: the stages inherit it.
         let memory = memfd_create("tendon-configuration", MFdFlags::MFD_ALLOW_SEALING)?;
         let mut file = File::from(memory);
@@ -126,7 +126,7 @@ impl SealedConfig {
     }
 
     /// Where a process that inherited the descriptor reads it from its beginning: proc(5).
-    fn path(&self) -> String {
+    pub(crate) fn path(&self) -> String {
         format!("/proc/self/fd/{}", self.memory.as_raw_fd())
     }
 }
@@ -173,6 +173,12 @@ impl Running {
     }
 }
 
+/// The folder of this program, in which those of Tendon lie.
+pub(crate) fn own_folder() -> Result<PathBuf, ChildrenError> {
+    let program = std::env::current_exe().map_err(ChildrenError::OwnFolder)?;
+    Ok(program.parent().map(ToOwned::to_owned).unwrap_or_default())
+}
+
 /// The program that acquires, if programs of Tendon lie in `folder`: the one that the configuration names, else the one of
 /// its source.
 fn source_program(config: &Config, folder: &Path) -> PathBuf {
@@ -211,8 +217,7 @@ impl Children {
         standard_error: &Writer,
     ) -> Result<Children, ChildrenError> {
         check_source_program(config)?;
-        let program = std::env::current_exe().map_err(ChildrenError::OwnFolder)?;
-        let folder = program.parent().map(ToOwned::to_owned).unwrap_or_default();
+        let folder = own_folder()?;
         let mut children = Children {
             acquisition: source_program(config, &folder),
             is_named: config.acquisition.program.is_some(),
