@@ -9,12 +9,14 @@
 #![allow(clippy::print_stdout, reason = "this program's output is for people and pipes")]
 
 mod calibrate;
+mod channels;
 mod checks;
 mod dataset;
 mod doctor;
 mod evaluate;
 mod experiments;
 mod latency;
+mod note;
 mod options;
 mod order;
 mod output;
@@ -24,6 +26,7 @@ mod prior;
 mod profile;
 mod progress;
 mod provenance;
+mod recorded;
 mod run;
 mod screen;
 mod session_outputs;
@@ -66,6 +69,10 @@ enum Command {
     Arm(order::Options),
     /// List where samples can come from: streams on the network, and what is configured.
     Sources(sources::Options),
+    /// Keep a note in the recording of a running session.
+    Note(note::Options),
+    /// Compare two recorded sessions, such as one and its replay: what was recognised and decided, bit for bit.
+    Compare(recorded::CompareOptions),
     /// Check what this machine offers a session, and say how to mend what is wrong.
     Doctor(doctor::Options),
     /// Profiles of the simulated amplifier.
@@ -118,6 +125,8 @@ fn main() -> ExitCode {
         Command::Stop(options) => order::give(&options, Order::Stop),
         Command::Arm(options) => order::give(&options, Order::Arm),
         Command::Sources(options) => sources::list(&options),
+        Command::Note(options) => note::leave(&options),
+        Command::Compare(options) => recorded::compare(&options),
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),

@@ -10,14 +10,18 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
+use tempfile::TempDir;
 use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
 use tendon_people::Person;
+use tendon_recordings::Channel;
+use tendon_session_file::is_session_file;
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
 use crate::personal::{check_person, set_person};
+use crate::recorded::configuration_of;
 
 /// Read where no other is named.
 const DEFAULT_FILE: &str = "tendon.toml";
@@ -79,7 +83,11 @@ impl Base {
 
     /// The file, then what was set.
     fn read(&self) -> anyhow::Result<Config> {
-        let mut config = read_configuration(self.config.as_deref())?;
+        self.with_assignments(read_configuration(self.config.as_deref())?)
+    }
+
+    /// What was set, on top of `config`.
+    fn with_assignments(&self, mut config: Config) -> anyhow::Result<Config> {
         for assignment in &self.assignments {
             config = config.with(assignment)?;
         }
@@ -107,7 +115,11 @@ pub struct Options {
     /// Draw the histograms of newest sample to command and of window start to command there, as PNG and SVG.
     #[arg(long, value_name = "FOLDER")]
     pub figures: Option<PathBuf>,
-    /// Replay a recording: a 3DC folder or file, or a CSV file.
+    /// Record the session there, in a folder of its own: everything as it happens, for this user alone.
+    #[arg(long, value_name = "FOLDER")]
+    pub record: Option<PathBuf>,
+    /// Replay a recording: a 3DC folder or file, or a CSV file; or a recorded session, with its own configuration where
+    /// --config and --set do not say otherwise.
     #[arg(long, value_name = "PATH")]
     replay: Option<PathBuf>,
     /// Sampling rate of the recording, for a CSV file.
@@ -157,13 +169,14 @@ pub struct Options {
 }
 
 impl Options {
-    /// The session's configuration: the file, then the command line. All paths absolute.
+    /// The session's configuration: the file, then the command line. All paths absolute. Beside it, a folder that has to stay
+    /// as long as the session runs.
     ///
     /// # Errors
     ///
     /// What makes no sense, by name.
-    pub fn configuration(&self) -> anyhow::Result<Config> {
-        let mut config = self.base.read()?;
+    pub fn configuration(&self) -> anyhow::Result<(Config, Option<TempDir>)> {
+        let (mut config, folder) = self.read()?;
         if let Some(session) = &self.session {
             config.session = session.clone();
         }
@@ -209,7 +222,24 @@ impl Options {
             let person = person.map_or_else(|| Person::read(file), |(_, person)| Ok(person))?;
             inference.person_checksum.get_or_insert_with(|| person.checksum());
         }
-        Ok(config)
+        Ok((config, folder))
+    }
+
+    /// The configuration before the options: of a recorded session its own, if no other is named.
+    fn read(&self) -> anyhow::Result<(Config, Option<TempDir>)> {
+        let Some(recorded) = self.replay.as_deref().filter(|path| is_session_file(path)) else {
+            return Ok((self.base.read()?, None));
+        };
+        ensure!(
+            self.replay_rate_hz.is_none() && self.repetition.is_none(),
+            "--replay-rate-hz and --repetition are for other recordings, {} is a recorded session: leave them out",
+            recorded.display()
+        );
+        if self.base.config.is_some() {
+            return Ok((self.base.read()?, None));
+        }
+        let (config, folder) = configuration_of(recorded)?;
+        Ok((self.base.with_assignments(config)?, folder))
     }
 
     /// Where the samples come from.
@@ -343,6 +373,31 @@ fn finish(mut config: Config) -> anyhow::Result<Config> {
     Ok(config)
 }
 
+/// Units that samples can be in, as the simulated amplifier and recordings spell them; `adc_counts` are the numbers of an
+/// analogue-to-digital converter.
+const UNITS: [&str; 4] = ["adc_counts", "uV", "mV", "V"];
+
+/// A unit of samples.
+///
+/// # Errors
+///
+/// When it is none.
+pub fn unit(text: &str) -> anyhow::Result<String> {
+    let known = UNITS.into_iter().find(|unit| *unit == text);
+    known.map(str::to_owned).ok_or_else(|| anyhow!("take one of {}", UNITS.join(", ")))
+}
+
+/// A channel by number, or by the name that the header of a table gives it.
+///
+/// # Errors
+///
+/// When there is nothing.
+pub fn named_channel(text: &str) -> anyhow::Result<Channel> {
+    let text = text.trim();
+    ensure!(!text.is_empty(), "name each channel, or give its number, from 0");
+    Ok(text.parse().map_or_else(|_| Channel::from(text), Channel::Index))
+}
+
 /// Number of a channel.
 ///
 /// # Errors
@@ -381,6 +436,15 @@ mod tests {
     fn a_channel_is_a_number_and_the_refusal_says_so() {
         assert_eq!(channel("0").unwrap(), 0);
         assert_eq!(format!("{:#}", channel("flexor").unwrap_err()), "channels are numbers here, from 0");
+    }
+
+    #[test]
+    fn a_unit_has_one_spelling_and_a_named_channel_may_have_a_number() {
+        assert_eq!(unit("mV").unwrap(), "mV");
+        assert_eq!(unit("MV").unwrap_err().to_string(), "take one of adc_counts, uV, mV, V");
+        assert_eq!(named_channel(" 3 ").unwrap(), Channel::Index(3));
+        assert_eq!(named_channel("flexor").unwrap(), Channel::from("flexor"));
+        named_channel("").unwrap_err();
     }
 
     #[test]

@@ -86,6 +86,7 @@ impl Config {
             ("acquisition.simulate.profile", &self.acquisition.simulate.profile),
             ("acquisition.replay.path", &self.acquisition.replay.path),
             ("acquisition.lsl.library", &self.acquisition.lsl.library),
+            ("acquisition.nidaqmx.library", &self.acquisition.nidaqmx.library),
             ("inference.model", &self.inference.model),
             ("inference.rest_move_model", &self.inference.rest_move_model),
             ("inference.person", &self.inference.person),
@@ -170,6 +171,9 @@ impl Config {
             self.check_channels("acquisition.replay.channels", acquisition.replay.channels.as_deref())?;
         }
         acquisition.lsl.check().map_err(section("acquisition.lsl"))?;
+        if acquisition.source == Source::Nidaqmx {
+            acquisition.nidaqmx.check().map_err(section("acquisition.nidaqmx"))?;
+        }
         if acquisition.source.is_amplifier() {
             if acquisition.unit.as_ref().is_some_and(|unit| unit.trim().is_empty()) {
                 let remedy = "name a unit, such as mV, or leave the key out";

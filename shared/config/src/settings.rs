@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
+use tendon_daqmx::NidaqmxSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
 use tendon_lsl::LslSettings;
@@ -69,6 +70,8 @@ pub enum Source {
     Replay,
     /// A stream of the Lab Streaming Layer.
     Lsl,
+    /// An NI device, through NI-DAQmx.
+    Nidaqmx,
     /// A device, which the program `acquisition.program` reads.
     Device,
 }
@@ -80,6 +83,7 @@ impl Source {
             Source::Simulate => "simulate",
             Source::Replay => "replay",
             Source::Lsl => "lsl",
+            Source::Nidaqmx => "nidaqmx",
             Source::Device => "device",
         }
     }
@@ -90,6 +94,7 @@ impl Source {
         match self {
             Source::Simulate | Source::Replay => Some("tendon-acquisition"),
             Source::Lsl => Some("tendon-acquire-lsl"),
+            Source::Nidaqmx => Some("tendon-acquire-daqmx"),
             Source::Device => None,
         }
     }
@@ -124,6 +129,8 @@ pub struct AcquisitionSettings {
     pub replay: ReplaySettings,
     /// The stream of the Lab Streaming Layer.
     pub lsl: LslSettings,
+    /// The NI device.
+    pub nidaqmx: NidaqmxSettings,
 }
 
 impl Default for AcquisitionSettings {
@@ -139,6 +146,7 @@ impl Default for AcquisitionSettings {
             simulate: SimulateSettings::default(),
             replay: ReplaySettings::default(),
             lsl: LslSettings::default(),
+            nidaqmx: NidaqmxSettings::default(),
         }
     }
 }
@@ -565,7 +573,7 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_settings_file() {
-        for source in [Source::Simulate, Source::Replay, Source::Lsl, Source::Device] {
+        for source in [Source::Simulate, Source::Replay, Source::Lsl, Source::Nidaqmx, Source::Device] {
             assert_eq!(toml::Value::try_from(source).unwrap().as_str(), Some(source.name()));
         }
         for backend in [Backend::Simulate, Backend::XArm] {
