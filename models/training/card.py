@@ -64,7 +64,7 @@ def write_card(
     ]
     counts = [[f"**{name}**", *map(str, confusion[i])] for i, name in enumerate(names)]
     by_person = [
-        [str(person), f"{(predicted == truth)[people == person].mean():.3f}", str((people == person).sum())]
+        [manifest.get("named_people", {}).get(str(person), str(person)), f"{(predicted == truth)[people == person].mean():.3f}", str((people == person).sum())]
         for person in sorted(set(people.tolist()))
     ]
     paper = PAPER_ACCURACY.get((network, classes)) if "move" not in names and "raw" == recipe["input"] else None

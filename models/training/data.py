@@ -76,6 +76,10 @@ class Dataset:
                     "build the data set with people held out, `tendon dataset build --test-people P,…`"
                 )
 
+    def who(self, number: int) -> str:
+        """The person of this number in people.npy: their name, if they have one, or else the number."""
+        return self.manifest.get("named_people", {}).get(str(number), str(number))
+
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of one example, as the network expects it."""

@@ -234,9 +234,9 @@ def run(arguments, stop_after: int | None = None) -> float:
     validation_accuracy, best_epoch = train(model, dataset, arguments, device, stop_after)
 
     made_with = dataset.settings
-    people_trained = " ".join(map(str, sorted(set(dataset.people[dataset.training].tolist()))))
+    people_trained = " ".join(map(dataset.who, sorted(set(dataset.people[dataset.training].tolist()))))
     tested = set(dataset.people[dataset.test].tolist()) - set(dataset.people[dataset.training].tolist())
-    people_held_out = " ".join(map(str, sorted(tested)))
+    people_held_out = " ".join(map(dataset.who, sorted(tested)))
     split = dataset.manifest.get("split", {})
     held_out = split.get("held_out") or f"people {people_held_out}"
     recipe = {

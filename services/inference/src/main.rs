@@ -34,6 +34,7 @@ fn main() -> ExitCode {
             model: config.inference.model.as_deref(),
             rest_move_model: config.inference.rest_move_model.as_deref(),
             person: config.inference.person.as_deref(),
+            person_checksum: config.inference.person_checksum.as_deref(),
         };
         let recogniser = Recogniser::open(&config.decision, &config.dsp.windows, &files)?;
         let mut recogniser = recogniser.with_adaptation(config.inference.adaptation)?;

@@ -12,7 +12,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{anyhow, ensure};
+use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use serde::Serialize;
 use tendon_config::Config;
@@ -20,6 +20,7 @@ use tendon_dataset::{DatasetSettings, Recording, list};
 use tendon_evaluation::{PersonWindows, prior_without};
 use tendon_features::{MethodSettings, Prior};
 use tendon_gesture::Gesture;
+use tendon_identity::{PersonId, list_of};
 use tendon_output::{OutputFile, check_distinct, collect};
 use tendon_people::{ChannelQuality, Expected, GestureFit, HeldOut, Made, People, Person, PersonName};
 use tendon_provenance::Provenance;
@@ -47,9 +48,9 @@ pub struct Options {
     /// Instead of recording now, take recordings with cues, in any layout that `tendon evaluate` reads.
     #[arg(long, num_args = 1.., value_name = "PATH")]
     from: Vec<PathBuf>,
-    /// Number of the person in the recordings, where they are of several people.
+    /// Number or name of the person in the recordings, where they are of several people.
     #[arg(long, value_name = "P", requires = "from")]
-    person_number: Option<u16>,
+    person_number: Option<PersonId>,
     /// Only this session of the recordings, such as `train` of 3DC [default: all].
     #[arg(long, value_name = "SESSION", requires = "from")]
     session: Option<String>,
@@ -101,6 +102,7 @@ pub fn calibrate(options: &Options) -> Result<(), Failure> {
     check_distinct(&json, [], inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
     let people = People::open().map_err(Failure::input)?;
+    let _reserved = people.reserve(&options.name).map_err(Failure::input)?;
     if options.from.is_empty() {
         return guided::calibrate(options, &people, json.as_ref(), begun);
     }
@@ -227,8 +229,9 @@ fn fit(
         // A simulated person must not be known to the prior either.
         Some(cohort) if cohort.serves(&method, channels, rate_hz)? => {
             match recorded.as_ref().and_then(|recorded| recorded.simulated.as_ref()) {
-                Some(from) => cohort
-                    .prior(|member| (&member.data_set, member.number) != (&from.data_set, from.number))?,
+                Some(from) => cohort.prior(|member| {
+                    (&member.data_set, member.person) != (&from.data_set, from.number.into())
+                })?,
                 None => prior_without(&cohort, found.layout, number)?,
             }
         }
@@ -239,6 +242,7 @@ fn fit(
         version: begun.version.clone(),
         commit: begun.commit.clone(),
         from: format!("recordings: {}", listed(selection.paths)),
+        recordings: absolute(selection.paths)?,
         recordings_sha256: begun
             .recording
             .as_ref()
@@ -254,17 +258,16 @@ fn fit(
 
 /// The recordings of the person asked for.
 fn of_one_person(options: &Options, recordings: Vec<Recording>) -> anyhow::Result<Vec<Recording>> {
-    let mut numbers: Vec<u16> = recordings.iter().map(|recording| recording.person).collect();
+    let mut numbers: Vec<PersonId> = recordings.iter().map(|recording| recording.person).collect();
     numbers.sort_unstable();
     numbers.dedup();
     let number = match (options.person_number, &numbers[..]) {
         (Some(number), _) => number,
         (None, [only]) => *only,
         (None, _) => {
-            let numbers: Vec<String> = numbers.iter().map(ToString::to_string).collect();
             return Err(anyhow!(
                 "the recordings are of several people ({}): say whom with --person-number",
-                numbers.join(", ")
+                list_of(&numbers)
             ));
         }
     };
@@ -287,6 +290,15 @@ fn of_one_person(options: &Options, recordings: Vec<Recording>) -> anyhow::Resul
             && options.session.as_ref().is_none_or(|session| *session == recording.session)
     };
     Ok(recordings.into_iter().filter(is_wanted).collect())
+}
+
+/// The paths from any folder.
+fn absolute(paths: &[PathBuf]) -> anyhow::Result<Vec<String>> {
+    let absolute = |path: &PathBuf| {
+        let absolute = std::path::absolute(path);
+        absolute.with_context(|| format!("cannot make {} an absolute path", path.display()))
+    };
+    paths.iter().map(|path| Ok(absolute(path)?.display().to_string())).collect()
 }
 
 fn listed(paths: &[PathBuf]) -> String {

@@ -81,6 +81,7 @@ pub fn models(config: &Config) -> anyhow::Result<String> {
         model: inference.model.as_deref(),
         rest_move_model: inference.rest_move_model.as_deref(),
         person: inference.person.as_deref(),
+        person_checksum: inference.person_checksum.as_deref(),
     };
     let recogniser =
         Recogniser::open(decision, &dsp.windows, &files)?.with_adaptation(inference.adaptation)?;

@@ -8,6 +8,7 @@ use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use tendon_config::Config;
 use tendon_dataset::{BuildSettings, DatasetSettings, Manifest, OnsetStatistics, SplitEntry};
+use tendon_identity::{PersonId, list_of};
 use tendon_output::OutputFolder;
 use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
@@ -87,10 +88,10 @@ pub struct BuildOptions {
     /// Assumed start of the movement if no onset is found, ms after the cue; 0 keeps the whole recording.
     #[arg(long, default_value_t = 500.0)]
     fallback_ms: f64,
-    /// People to hold out for the test, by number: all their windows are for the test, and nobody else's. 3DC's 13 and
+    /// People to hold out for the test, by number or name: all their windows are for the test, and nobody else's. 3DC's 13 and
     /// 14 share recordings and must stay together.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
-    test_people: Vec<u16>,
+    test_people: Vec<PersonId>,
     /// Sessions to hold out for the test, such as test of 3DC: all their windows are for the test. The model then knows the
     /// people, and its score says how well it does in another session of the same people.
     #[arg(long, value_name = "SESSION,…", value_delimiter = ',')]
@@ -254,8 +255,4 @@ fn columns(onsets: &OnsetStatistics) -> String {
     let fallbacks = format!("{fallbacks} ({fallback_percent:.1} %)");
     let onset = format!("mean {mean_ms:.1}, sd {sd_ms:.1}, {min_ms:.0} to {max_ms:.0}");
     format!("{recordings:>12}{fallbacks:>22}{onset:>34}")
-}
-
-fn list_of(people: &[u16]) -> String {
-    people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }

@@ -12,6 +12,7 @@ use tendon_classifier::{Classifier, TrainedOn};
 use tendon_dataset::StoredDataset;
 use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
 use tendon_figures::write_score_figures;
+use tendon_identity::PersonId;
 use tendon_output::{OutputFolder, check_distinct, collect};
 use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
@@ -59,10 +60,10 @@ pub struct Options {
     /// With --calibrate-repetitions or --calibrate-unlabelled: sampling rate of recordings that do not state it, Hz.
     #[arg(long, value_name = "HZ", requires = "calibration")]
     recording_rate_hz: Option<f64>,
-    /// Score only these people, by number. By default, everybody whom the model was not trained on: a score on people
+    /// Score only these people, by number or name. By default, everybody whom the model was not trained on: a score on people
     /// it has seen says nothing about a stranger.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
-    people: Vec<u16>,
+    people: Vec<PersonId>,
     /// Channels of the recordings, in the order the model expects [default: 0,3,5,8]. A data set has its own.
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
     channels: Option<Vec<usize>>,
@@ -125,7 +126,7 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     };
     works.clear();
     let (scores, tally) = scored.map_err(failure)?;
-    let people: Vec<u16> = scores.people.iter().copied().collect();
+    let people: Vec<PersonId> = scores.people.iter().copied().collect();
     let provenance = Provenance {
         trained_on_person: TrainedOn::any_includes([&trained_on], scores.data_set.as_deref(), &people),
         ..provenance(options, model, begun).map_err(Failure::running)?

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 use tendon_experiments::{Event, ExperimentError, Settings};
+use tendon_identity::PersonId;
 use tendon_provenance::Provenance;
 
 use crate::Failure;
@@ -34,7 +35,7 @@ pub struct Options {
         default_value = "19,20,22",
         requires = "three_dc"
     )]
-    three_dc_test_people: Vec<u16>,
+    three_dc_test_people: Vec<PersonId>,
     /// People of the Ozdemir data set to hold out for the test; the default is the paper's choice.
     #[arg(
         long,
@@ -43,7 +44,7 @@ pub struct Options {
         default_value = "36,37,38,39,40",
         requires = "ozdemir"
     )]
-    ozdemir_test_people: Vec<u16>,
+    ozdemir_test_people: Vec<PersonId>,
     /// Seeds of the trainings. Comparisons report the spread over all of them.
     #[arg(long, value_delimiter = ',', default_value = "0,1,2")]
     seeds: Vec<u64>,

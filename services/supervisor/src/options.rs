@@ -13,6 +13,7 @@ use clap::Args;
 use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
+use tendon_people::Person;
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
@@ -195,9 +196,14 @@ impl Options {
                 "--task is for the arm's own time: leave --pace full away"
             );
         }
-        let config = finish(config)?;
-        if let Some((file, person)) = person {
-            check_person(&file, &person, &config)?;
+        let mut config = finish(config)?;
+        if let Some((file, person)) = &person {
+            check_person(file, person, &config)?;
+        }
+        let inference = &mut config.inference;
+        if let (Strategy::Personal, Some(file)) = (config.decision.strategy, &inference.person) {
+            let person = person.map_or_else(|| Person::read(file), |(_, person)| Ok(person))?;
+            inference.person_checksum.get_or_insert_with(|| person.checksum());
         }
         Ok(config)
     }

@@ -9,6 +9,7 @@ use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
 use tendon_gesture::{GestureSet, Strategy};
 use tendon_people::{People, Person, PersonName, SignalOffer};
+use tendon_process::SignalDescription;
 use tendon_recordings::{Channel, RecordedSession};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
 
@@ -124,6 +125,15 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
             |name: &String| name.parse().map_or_else(|_| Channel::Name(name.clone()), Channel::Index);
         acquisition.replay.channels = Some(signal.channels.iter().map(channel).collect());
     }
+    if acquisition.source.is_amplifier() {
+        if acquisition.channel_selection.is_none() {
+            acquisition.channel_selection =
+                Some(signal.channels.iter().cloned().map(Channel::Name).collect());
+        }
+        if acquisition.unit.is_none() && !signal.unit.is_empty() {
+            acquisition.unit = Some(signal.unit.clone());
+        }
+    }
     if let Some(filter) = &signal.filter
         && config.dsp.filter == default.dsp.filter
         && !base.sets("dsp.filter")
@@ -166,13 +176,26 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
 /// Everything that differs, by name.
 pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Result<()> {
     let acquisition = &config.acquisition;
-    let is_replay = acquisition.source == Source::Replay;
-    // The other sources do not say their unit.
-    let is_simulated = acquisition.source == Source::Simulate && acquisition.program.is_none();
-    let profile = is_simulated.then(|| acquisition.simulate.read_profile()).transpose()?;
-    let unit = profile.map_or_else(String::new, |profile| profile.unit);
-    let named = acquisition.replay.channels.as_ref().filter(|_| is_replay);
-    let names: Option<Vec<String>> = named.map(|channels| channels.iter().map(Channel::name).collect());
+    let unit = match acquisition.source {
+        Source::Simulate if acquisition.program.is_none() => acquisition.simulate.read_profile()?.unit,
+        // Nobody knows it.
+        Source::Simulate | Source::Replay => String::new(),
+        _ => acquisition.unit.clone().unwrap_or_default(),
+    };
+    let names: Option<Vec<String>> = match acquisition.source {
+        Source::Simulate => None,
+        Source::Replay => {
+            acquisition.replay.channels.as_ref().map(|channels| channels.iter().map(Channel::name).collect())
+        }
+        // Of channels that are chosen by number, the amplifier says the names when it is ready.
+        _ => acquisition.channel_selection.as_ref().and_then(|channels| {
+            let names = channels.iter().map(|channel| match channel {
+                Channel::Name(name) => Some(name.clone()),
+                Channel::Index(_) => None,
+            });
+            names.collect()
+        }),
+    };
     let mut differences: Vec<String> = person
         .differences(&SignalOffer {
             source: "the session",
@@ -201,6 +224,37 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
         file.display(),
         person.name,
         differences.join("; ")
+    );
+    Ok(())
+}
+
+/// Refuses a source that is ready with other channels, or another unit, than the person of this configuration was calibrated
+/// with. Only the source itself knows what it measures.
+///
+/// # Errors
+///
+/// What differs, by name.
+pub fn check_signal(config: &Config, signal: &SignalDescription) -> anyhow::Result<()> {
+    let is_personal = config.decision.strategy == Strategy::Personal;
+    let Some(file) = config.inference.person.as_ref().filter(|_| is_personal) else { return Ok(()) };
+    let person = Person::read(file)?;
+    let own = &person.signal;
+    ensure!(
+        own.channels == signal.channels,
+        "{}: {} was calibrated with the channels {}, and the source has {}: choose them in acquisition.channel_selection, or \
+         calibrate again",
+        file.display(),
+        person.name,
+        own.channels.join(", "),
+        signal.channels.join(", ")
+    );
+    ensure!(
+        own.unit.is_empty() || signal.unit.is_empty() || own.unit == signal.unit,
+        "{}: {} was calibrated in {}, and the source has {}: set acquisition.unit, or calibrate again",
+        file.display(),
+        person.name,
+        own.unit,
+        signal.unit
     );
     Ok(())
 }

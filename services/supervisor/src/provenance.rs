@@ -6,6 +6,7 @@ use anyhow::anyhow;
 use tendon_classifier::{ModelFiles, TrainedOn, trained_on};
 use tendon_config::{Config, Source};
 use tendon_gesture::Strategy;
+use tendon_identity::PersonId;
 use tendon_provenance::{Program, Provenance};
 use tendon_recordings::{ozdemir, three_dc};
 
@@ -27,8 +28,9 @@ pub fn of_session(config: &Config) -> anyhow::Result<Provenance> {
         config.acquisition.check_recording()?;
     }
     let person = recording.first().and_then(|path| person(path));
-    let trained_on_person =
-        person.and_then(|(data_set, person)| TrainedOn::any_includes(&trained, Some(data_set), &[person]));
+    let trained_on_person = person.and_then(|(data_set, person)| {
+        TrainedOn::any_includes(&trained, Some(data_set), &[PersonId::Number(person)])
+    });
     let provenance = Provenance::begin(PROGRAM).with_configuration(config)?.with_models(models)?;
     Ok(Provenance { trained_on_person, ..provenance.with_recording(&recording)? })
 }

@@ -25,6 +25,7 @@ use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::{Contraction, TaskRun};
 
 use crate::options::Options;
+use crate::personal::check_signal;
 use crate::screen::{KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
 use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, zones};
@@ -165,6 +166,9 @@ fn watch_until_the_end(
 ) -> Result<(), Failure> {
     if watch.wait_until_ready().map_err(failure)? == Turn::Over {
         return Ok(());
+    }
+    if let Some(signal) = watch.ready().get(&Stage::Acquisition).and_then(|ready| ready.signal.as_ref()) {
+        check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
     let tick = if task.is_some() { TASK_TICK } else { TICK };

@@ -17,6 +17,7 @@ use tendon_evaluation::{
     with_trials,
 };
 use tendon_gesture::{DecisionSettings, Strategy};
+use tendon_identity::PersonId;
 use tendon_output::{check_distinct, collect};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_provenance::Provenance;
@@ -43,9 +44,9 @@ pub struct Options {
     /// are then scored on the last session, or on what is left of an only one [default: 4, or as many as there are].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     calibrate_repetitions: Option<u32>,
-    /// Score only these people, by number. By default, everybody whom none of the models was trained on.
+    /// Score only these people, by number or name. By default, everybody whom none of the models was trained on.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
-    people: Vec<u16>,
+    people: Vec<PersonId>,
     /// Channels of the recordings, in the order the models expect.
     #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
     channels: Vec<usize>,
@@ -147,7 +148,7 @@ impl Options {
 #[derive(Debug, Serialize)]
 struct AllScores {
     recordings: Vec<String>,
-    people: BTreeSet<u16>,
+    people: BTreeSet<PersonId>,
     /// What calibrated the recognisers of people, in words; `null` if none was.
     calibrated_on: Option<String>,
     /// What was scored, in words.
@@ -172,7 +173,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     };
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let (layout, data_set) = (found.layout, found.layout.data_set());
-    let known: BTreeSet<u16> = found.recordings.iter().map(|recording| recording.person).collect();
+    let known: BTreeSet<PersonId> = found.recordings.iter().map(|recording| recording.person).collect();
     let models = || pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().trained_on());
     let trained = models().flat_map(|model| model.people_of(data_set)).copied().collect();
     let chosen = chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
@@ -189,8 +190,8 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         (_, false) => People::uncalibrated(usable),
         (_, true) => personal::calibrate(options, &config, layout, usable, &mut skipped)?,
     };
-    let people: BTreeSet<u16> = calibrated.recordings.iter().map(PersonRecordings::person).collect();
-    let scored: Vec<u16> = people.iter().copied().collect();
+    let people: BTreeSet<PersonId> = calibrated.recordings.iter().map(PersonRecordings::person).collect();
+    let scored: Vec<PersonId> = people.iter().copied().collect();
     let provenance = Provenance {
         trained_on_person: TrainedOn::any_includes(models(), data_set, &scored),
         ..provenance(options, &config, &pipelines, begun).map_err(Failure::running)?

@@ -480,7 +480,10 @@ mod tests {
         assert_eq!(contract.sequence_windows, 5);
         assert_eq!(contract.classes, Class::REST_MOVE);
         let TrainedOn { data_set, people, held_out_sessions } = contract.trained_on;
-        assert_eq!((data_set.as_deref(), people.as_slice()), (Some("3DC"), &[1, 3, 14][..]));
+        assert_eq!(
+            (data_set.as_deref(), people.as_slice()),
+            (Some("3DC"), &[1, 3, 14].map(tendon_identity::PersonId::Number)[..])
+        );
         assert_eq!(held_out_sessions, Vec::<String>::new());
         assert_eq!(contract.validation_accuracy, Some(0.9123));
     }
@@ -496,7 +499,7 @@ mod tests {
             ("tendon.classes", Some("Fist"), "`tendon.classes` is `Fist`"),
             ("tendon.contract_version", Some("2"), "contract version 2"),
             ("tendon.sequence_windows", Some("0"), "`tendon.sequence_windows` is `0`"),
-            ("tendon.people_trained", Some("1 and 3"), "`tendon.people_trained` is `1 and 3`"),
+            ("tendon.people_trained", Some("1 And 3"), "`tendon.people_trained` is `1 And 3`"),
             ("tendon.validation_accuracy", Some("NaN"), "`tendon.validation_accuracy` is `NaN`"),
             ("tendon.classes", Some("grip,rest,grip"), "name `grip` twice"),
         ] {

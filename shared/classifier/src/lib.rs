@@ -102,6 +102,16 @@ pub enum ClassifierError {
     /// The file holds no person that can be used.
     #[error(transparent)]
     Person(#[from] PersonFileError),
+    /// The file holds another person, or another calibration, than when the session began.
+    #[error(
+        "{}: this is not the person that the session began with: the file was replaced meanwhile; start the session again to \
+         run with what it holds now",
+        path.display()
+    )]
+    OtherPerson {
+        /// The person file.
+        path: PathBuf,
+    },
     /// The person was calibrated for something else.
     #[error(
         "{}: does not fit: {differences}; change the settings, or calibrate again with these", path.display()

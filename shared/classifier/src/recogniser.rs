@@ -80,6 +80,8 @@ pub struct RecogniserFiles<'a> {
     pub rest_move_model: Option<&'a Path>,
     /// The person, for the personal strategy.
     pub person: Option<&'a Path>,
+    /// [`Person::checksum`] of the person that is wanted; `None` takes whomever the file holds.
+    pub person_checksum: Option<&'a str>,
 }
 
 /// Turns windows into probabilities of gestures.
@@ -138,7 +140,11 @@ impl Recogniser {
             return Recogniser::load(&library, decision, files.model, files.rest_move_model);
         }
         let path = files.person.ok_or(ClassifierError::NoPerson)?;
-        Recogniser::of_person(Person::read(path)?, path, &decision.gestures, windows)
+        let person = Person::read(path)?;
+        if files.person_checksum.is_some_and(|checksum| checksum != person.checksum()) {
+            return Err(ClassifierError::OtherPerson { path: path.to_owned() });
+        }
+        Recogniser::of_person(person, path, &decision.gestures, windows)
     }
 
     /// The recogniser of `person`, who was read from the file `path`, in a session with these gestures.

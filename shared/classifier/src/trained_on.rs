@@ -1,5 +1,7 @@
 //! Whom a model was trained on, according to its metadata.
 
+use tendon_identity::PersonId;
+
 use crate::contract::{ContractProblem, senseless};
 
 /// Whom a model was trained on. A number alone names nobody: every data set counts its people from 1.
@@ -7,8 +9,8 @@ use crate::contract::{ContractProblem, senseless};
 pub struct TrainedOn {
     /// Name of the data set, such as `3DC`; `None` if the model does not say, or its recordings are of no known data set.
     pub data_set: Option<String>,
-    /// Numbers of the people in that data set; empty if the model does not say.
-    pub people: Vec<u16>,
+    /// The people in that data set; empty if the model does not say.
+    pub people: Vec<PersonId>,
     /// Sessions of these people that were held out, so that the model has not seen them.
     pub held_out_sessions: Vec<String>,
 }
@@ -29,14 +31,14 @@ impl TrainedOn {
             people: people
                 .split_whitespace()
                 .map(str::parse)
-                .collect::<Result<Vec<u16>, _>>()
+                .collect::<Result<Vec<PersonId>, _>>()
                 .map_err(|_| senseless("tendon.people_trained", &people))?,
         })
     }
 
     /// Those of them who may be people of `data_set`; `None` is recordings of your own. Nobody if the model names another
     /// data set, everybody if it names none.
-    pub fn people_of(&self, data_set: Option<&str>) -> &[u16] {
+    pub fn people_of(&self, data_set: Option<&str>) -> &[PersonId] {
         match &self.data_set {
             Some(own) if own != data_set.unwrap_or(OWN_RECORDINGS) => &[],
             _ => &self.people,
@@ -44,13 +46,13 @@ impl TrainedOn {
     }
 
     /// Whether the model was, or may have been, trained on this session of this person of `data_set`.
-    pub fn knows(&self, data_set: Option<&str>, person: u16, session: &str) -> bool {
+    pub fn knows(&self, data_set: Option<&str>, person: PersonId, session: &str) -> bool {
         self.people_of(data_set).contains(&person)
             && !self.held_out_sessions.iter().any(|held_out| held_out == session)
     }
 
     /// Whether this person of `data_set` is one of them; `None` where the model does not say enough to tell.
-    pub fn includes(&self, data_set: Option<&str>, person: u16) -> Option<bool> {
+    pub fn includes(&self, data_set: Option<&str>, person: PersonId) -> Option<bool> {
         let is_known = !self.people.is_empty() && self.data_set.is_some();
         is_known.then(|| self.people_of(data_set).contains(&person))
     }
@@ -59,7 +61,7 @@ impl TrainedOn {
     pub fn any_includes<'a>(
         models: impl IntoIterator<Item = &'a TrainedOn>,
         data_set: Option<&str>,
-        people: &[u16],
+        people: &[PersonId],
     ) -> Option<bool> {
         let mut any = Some(false);
         for model in models {
@@ -82,7 +84,7 @@ mod tests {
     fn trained_on(data_set: Option<&str>, people: &[u16]) -> TrainedOn {
         TrainedOn {
             data_set: data_set.map(str::to_owned),
-            people: people.to_vec(),
+            people: people.iter().copied().map(PersonId::from).collect(),
             held_out_sessions: Vec::new(),
         }
     }
@@ -93,8 +95,19 @@ mod tests {
         assert!(of_own.people_of(Some("3DC")).is_empty(), "the user's 3 is not 3DC's");
         assert_eq!(of_own.people_of(None), [3]);
         let with_session = TrainedOn { held_out_sessions: vec!["tuesday".to_owned()], ..of_own.clone() };
-        let knows = |person, session| with_session.knows(None, person, session);
+        let knows = |person, session| with_session.knows(None, PersonId::Number(person), session);
         assert_eq!((knows(3, "monday"), knows(3, "tuesday"), knows(4, "monday")), (true, false, false));
+        let anna: PersonId = "anna".parse().unwrap();
+        let of_anna = TrainedOn::read(|key| match key {
+            "tendon.people_trained" => Some("anna ben".to_owned()),
+            "tendon.data_set" => Some(OWN_RECORDINGS.to_owned()),
+            _ => None,
+        });
+        let of_anna = of_anna.unwrap();
+        assert_eq!(
+            (of_anna.includes(None, anna), of_anna.includes(None, 1.into())),
+            (Some(true), Some(false))
+        );
         let broken = TrainedOn::read(|key| (key == "tendon.held_out_sessions").then(|| "tuesday".to_owned()));
         assert!(broken.unwrap_err().to_string().contains("tendon.held_out_sessions"));
     }
@@ -113,14 +126,19 @@ mod tests {
             (&of_own, None, 1, None),
             (&silent, Some("3DC"), 1, None),
         ] {
-            assert_eq!(model.includes(data_set, person), expected, "{model:?}, {data_set:?}, {person}");
+            assert_eq!(
+                model.includes(data_set, PersonId::Number(person)),
+                expected,
+                "{model:?}, {data_set:?}, {person}"
+            );
         }
         assert!(of_3dc.people_of(Some("Ozdemir 2022")).is_empty());
         assert!(of_3dc.people_of(None).is_empty(), "recordings of your own are of no data set");
         assert_eq!(of_own.people_of(None), [1, 3], "they may be the same");
         assert_eq!(of_own.people_of(Some("3DC")), [1, 3], "they may be the same");
         let any = |models: &[&TrainedOn], people: &[u16]| {
-            TrainedOn::any_includes(models.iter().copied(), Some("3DC"), people)
+            let people: Vec<PersonId> = people.iter().copied().map(PersonId::from).collect();
+            TrainedOn::any_includes(models.iter().copied(), Some("3DC"), &people)
         };
         assert_eq!(any(&[&of_own, &of_3dc], &[2, 3]), Some(true));
         assert_eq!(any(&[&of_3dc, &of_own], &[2]), None);

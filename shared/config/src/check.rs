@@ -3,6 +3,7 @@
 //! Ranges that concern one section stand in the library that the section belongs to.
 
 use tendon_arm::ANGULAR_SPEED_LIMIT_RAD_PER_S;
+use tendon_recordings::Channel;
 use tendon_transport::Delivery;
 
 use crate::{Backend, Config, ConfigError, Source};
@@ -155,24 +156,33 @@ impl Config {
         {
             return refuse("acquisition.replay.sample_rate_hz", rate_hz, "take 1 to 1000000 Hz");
         }
-        if acquisition.source != Source::Replay {
-            return Ok(());
+        if acquisition.source == Source::Replay {
+            if acquisition.replay.path.is_none() {
+                let remedy = "name the recording, or use --replay PATH";
+                return refuse("acquisition.replay.path", "(none)", remedy);
+            }
+            self.check_channels("acquisition.replay.channels", acquisition.replay.channels.as_deref())?;
         }
-        if acquisition.replay.path.is_none() {
-            return refuse("acquisition.replay.path", "(none)", "name the recording, or use --replay PATH");
-        }
-        if let Some(named) =
-            acquisition.replay.channels.as_ref().filter(|named| named.len() != acquisition.channels)
-        {
-            let list = format!("[{}]", named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "));
-            let remedy = format!(
-                "names {}, but acquisition.channels is {}: name as many, or change that number",
-                named.len(),
-                acquisition.channels
-            );
-            return refuse("acquisition.replay.channels", list, remedy);
+        if acquisition.source.is_amplifier() {
+            if acquisition.unit.as_ref().is_some_and(|unit| unit.trim().is_empty()) {
+                let remedy = "name a unit, such as mV, or leave the key out";
+                return refuse("acquisition.unit", "\"\"", remedy);
+            }
+            self.check_channels("acquisition.channel_selection", acquisition.channel_selection.as_deref())?;
         }
         Ok(())
+    }
+
+    /// Refuses a list of channels that is not as long as the session has channels.
+    fn check_channels(&self, key: &'static str, named: Option<&[Channel]>) -> Result<(), ConfigError> {
+        let channels = self.acquisition.channels;
+        let Some(named) = named.filter(|named| named.len() != channels) else { return Ok(()) };
+        let list = format!("[{}]", named.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "));
+        let remedy = format!(
+            "names {}, but acquisition.channels is {channels}: name as many, or change that number",
+            named.len()
+        );
+        refuse(key, list, remedy)
     }
 
     fn check_windows(&self) -> Result<(), ConfigError> {
@@ -238,7 +248,6 @@ mod tests {
     use std::path::Path;
 
     use tendon_emg_simulation::{Performance, Profile, SimulatedEmg};
-    use tendon_recordings::Channel;
 
     use super::*;
 
@@ -269,6 +278,25 @@ mod tests {
         config.acquisition.source = Source::Device;
         assert!(refusal(&config).contains("acquisition.program"), "{}", refusal(&config));
         config.acquisition.program = Some("acquire".into());
+        config.check().unwrap();
+    }
+
+    #[test]
+    fn channels_and_unit_of_an_amplifier_are_checked_and_of_nobody_else() {
+        let mut config = Config::default();
+        config.acquisition.channel_selection = Some(vec!["flexor".into(), "extensor".into()]);
+        config.acquisition.unit = Some(" ".to_owned());
+        config.check().unwrap();
+        config.acquisition.source = Source::Device;
+        config.acquisition.program = Some("acquire".into());
+        assert!(refusal(&config).contains("acquisition.unit"), "{}", refusal(&config));
+        config.acquisition.unit = Some("mV".to_owned());
+        let refused = refusal(&config);
+        assert!(
+            refused.contains("acquisition.channel_selection = [`flexor`, `extensor`]: names 2"),
+            "{refused}"
+        );
+        config.acquisition.channels = 2;
         config.check().unwrap();
     }
 

@@ -147,6 +147,8 @@ mod tests {
     fn every_key() -> Config {
         let mut config = Config::default();
         config.acquisition.program = Some("x".into());
+        config.acquisition.channel_selection = Some(vec![]);
+        config.acquisition.unit = Some("x".into());
         config.acquisition.simulate.profile = Some("x".into());
         config.acquisition.simulate.clip_at = Some(1.0);
         config.acquisition.replay.path = Some("x".into());
@@ -156,6 +158,7 @@ mod tests {
         config.inference.model = Some("x".into());
         config.inference.rest_move_model = Some("x".into());
         config.inference.person = Some("x".into());
+        config.inference.person_checksum = Some("x".into());
         config.inference.runtime_library = Some("x".into());
         config.decision.long_grip_s = Some(1.0);
         config.robot.xarm.address = Some("127.0.0.1".parse().unwrap());

@@ -76,6 +76,20 @@ impl Source {
             Source::Device => "device",
         }
     }
+
+    /// The program that acquires from it, which lies beside `tendon`; `None` for a device, whose program
+    /// `acquisition.program` names.
+    pub fn program(self) -> Option<&'static str> {
+        match self {
+            Source::Simulate | Source::Replay => Some("tendon-acquisition"),
+            Source::Device => None,
+        }
+    }
+
+    /// Whether it is an amplifier, and not one that is simulated or recorded.
+    pub fn is_amplifier(self) -> bool {
+        !matches!(self, Source::Simulate | Source::Replay)
+    }
 }
 
 /// Settings of the acquisition stage.
@@ -84,7 +98,7 @@ impl Source {
 pub struct AcquisitionSettings {
     /// Where samples come from.
     pub source: Source,
-    /// The program that acquires; when left out, the one that comes with Tendon, for the simulated amplifier and recordings.
+    /// The program that acquires; when left out, the one that comes with Tendon for the source.
     pub program: Option<PathBuf>,
     /// Number of channels.
     pub channels: usize,
@@ -92,6 +106,10 @@ pub struct AcquisitionSettings {
     pub sample_rate_hz: f64,
     /// Samples of each channel in a block. 10 at 2000 Hz are 5 ms.
     pub block_samples: usize,
+    /// Which channels of an amplifier, by number from 0 or by name; when left out, its first EMG channels.
+    pub channel_selection: Option<Vec<Channel>>,
+    /// Unit of an amplifier's samples, to which it converts (V, mV, uV, nV); when left out, the one in which they come.
+    pub unit: Option<String>,
     /// The simulated amplifier.
     pub simulate: SimulateSettings,
     /// The recording to replay.
@@ -106,6 +124,8 @@ impl Default for AcquisitionSettings {
             channels: 4,
             sample_rate_hz: 2000.0,
             block_samples: 10,
+            channel_selection: None,
+            unit: None,
             simulate: SimulateSettings::default(),
             replay: ReplaySettings::default(),
         }
@@ -237,6 +257,9 @@ pub struct InferenceSettings {
     pub rest_move_model: Option<PathBuf>,
     /// The file of the person, for the strategy `personal`; `tendon calibrate` makes it.
     pub person: Option<PathBuf>,
+    /// The checksum of the person in that file. `tendon run` sets it, so that a stage that is started again in the middle of
+    /// the session refuses a file that was replaced.
+    pub person_checksum: Option<String>,
     /// Whether the person's recogniser follows them during use.
     pub adaptation: Adaptation,
     /// ONNX Runtime's shared library; when left out, `ORT_DYLIB_PATH`, then what

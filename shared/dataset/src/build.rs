@@ -7,6 +7,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_output::{OutputError, OutputFile};
 use tendon_provenance::Provenance;
 use tendon_recordings::SkippedEntry;
@@ -17,7 +18,7 @@ use crate::cut::{Outcome, trials};
 use crate::files::{LABELS, MANIFEST, PEOPLE, RECORDINGS, REPETITIONS, SPLITS, STARTS, WINDOWS};
 use crate::journal::{self, Earlier, Finished, Journal, JournalError};
 use crate::listing::{Layout, ListingError, Recordings, list};
-use crate::manifest::{Content, Manifest};
+use crate::manifest::{Content, Manifest, named_people};
 use crate::ordered;
 use crate::recording::Recording;
 use crate::settings::DatasetSettings;
@@ -116,7 +117,7 @@ pub enum DatasetError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BuildSettings {
     /// People held out: all their windows are for the test, and no others.
-    pub test_people: Vec<u16>,
+    pub test_people: Vec<PersonId>,
     /// Sessions held out of everybody, such as `test` of 3DC: all their windows are for the test.
     pub test_sessions: Vec<String>,
     /// Seed of the choice of windows for validation.
@@ -405,7 +406,14 @@ fn write_arrays(
         entry.gesture.paper_number().expect("trials of other gestures were left out: for_networks")
     };
     write_array(out_dir, LABELS, rows().map(|(_, entry, _)| label(entry)))?;
-    write_array(out_dir, PEOPLE, rows().map(|(_, entry, _)| entry.person))?;
+    let named = named_people(recordings);
+    let number = |person: PersonId| match person {
+        PersonId::Number(number) => number,
+        PersonId::Name(_) => {
+            *named.iter().find(|(_, own)| **own == person).expect("everybody has a number").0
+        }
+    };
+    write_array(out_dir, PEOPLE, rows().map(|(_, entry, _)| number(entry.person)))?;
     write_array(out_dir, REPETITIONS, rows().map(|(_, entry, _)| entry.repetition_of_all))?;
     write_array(out_dir, RECORDINGS, rows().map(|(index, _, _)| index as u32))?;
     write_array(out_dir, STARTS, rows().map(|(_, _, start)| start as u32))?;

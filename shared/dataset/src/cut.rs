@@ -4,6 +4,7 @@ use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_recordings::{RecordingError, ReplayStream, Segment, SkippedEntry};
 use tendon_signal::{DesignError, EmgFilter, Envelope, WindowInput, WindowSettings, find_onset};
 
@@ -25,8 +26,8 @@ pub struct CutWindow<'a> {
     pub samples: &'a [f32],
     /// What the person was asked to do.
     pub gesture: Gesture,
-    /// Number of the person.
-    pub person: u16,
+    /// Whose it is.
+    pub person: PersonId,
     /// Repetition of the gesture, counted through all sessions of the person.
     pub repetition: u8,
     /// The trial it was cut from: its place in [`Cut::trials`].

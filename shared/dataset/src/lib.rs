@@ -18,7 +18,7 @@
 //! |---|---|
 //! | `windows.npy` | float32 `[n, channels, window]`, filtered or its envelope, in the recording's unit |
 //! | `labels.npy` | uint8 `[n]`, class numbers of [`Gesture`](tendon_gesture::Gesture) |
-//! | `people.npy` | uint16 `[n]`, number of the person |
+//! | `people.npy` | uint16 `[n]`, number of the person; `named_people` in the manifest has the name of those who have one |
 //! | `repetitions.npy` | uint8 `[n]`, the repetition counted through all sessions of the person: 0 to 3 in 3DC's `train`, 4 to 7 in its `test` |
 //! | `recordings.npy` | uint32 `[n]`, the window's trial: its place in the manifest's `recordings` |
 //! | `starts.npy` | uint32 `[n]`, the window's first sample within that trial, at the data set's rate |

@@ -8,6 +8,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{RecordedSession, RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
 
@@ -249,7 +250,7 @@ fn three_dc_recordings(
         }
         recordings.extend(repetitions.into_iter().map(|repetition| Recording {
             path: folder.clone(),
-            person,
+            person: person.into(),
             session: session.name().to_owned(),
             repetitions_before: session.repetitions_before(),
             content: Content::ThreeDc { repetition },
@@ -293,7 +294,7 @@ fn mat_recordings(
     }
     let recording = |(person, file): (u16, &PathBuf)| Recording {
         path: file.clone(),
-        person,
+        person: person.into(),
         session: ONLY_SESSION.to_owned(),
         repetitions_before: 0,
         content: Content::OzdemirMat,
@@ -313,7 +314,7 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
     }
     let recording = |(trial, file): (ozdemir::Trial, &PathBuf)| Recording {
         path: file.clone(),
-        person: trial.person,
+        person: trial.person.into(),
         session: ONLY_SESSION.to_owned(),
         repetitions_before: 0,
         content: Content::Table {
@@ -329,6 +330,9 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
     Ok(by_trial.into_iter().map(recording).collect())
 }
 
+/// Whom the recorder of earlier versions labelled everybody's recordings with; whose they are stands beside the labels.
+const EARLIER_RECORDER: PersonId = PersonId::Number(1);
+
 fn labelled_recordings(
     settings: &DatasetSettings,
     folders: &[PathBuf],
@@ -338,11 +342,14 @@ fn labelled_recordings(
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
         let recorded = RecordedSession::read(folder)?;
-        let default_hz = recorded.map(|session| session.sample_rate_hz);
+        let default_hz = recorded.as_ref().map(|session| session.sample_rate_hz);
         if settings.recording_rate_hz.or(default_hz).is_none() {
             return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
         }
-        for file in labels::read(folder, skipped)? {
+        for mut file in labels::read(folder, skipped)? {
+            if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {
+                file.person = session.person;
+            }
             let real = fs::canonicalize(&file.path).unwrap_or_else(|_| file.path.clone());
             if let Some(first) = folder_of_file.insert(real, folder) {
                 let what = file.path.display().to_string();
@@ -352,7 +359,7 @@ fn labelled_recordings(
         }
     }
     // Of each person the sessions, in the order in which they are named, and how many repetitions a session has.
-    let mut sessions: BTreeMap<u16, (Vec<String>, u32)> = BTreeMap::new();
+    let mut sessions: BTreeMap<PersonId, (Vec<String>, u32)> = BTreeMap::new();
     for (file, _) in &files {
         let (names, repetitions) = sessions.entry(file.person).or_default();
         if !names.contains(&file.session) {

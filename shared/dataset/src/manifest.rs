@@ -1,9 +1,10 @@
 //! What stands beside the arrays of a data set: settings, counts, and what became of each trial.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_provenance::Provenance;
 use tendon_recordings::SkippedEntry;
 
@@ -24,8 +25,11 @@ pub struct Manifest {
     pub windows: u64,
     /// Windows of each gesture, by name.
     pub windows_per_gesture: BTreeMap<String, u64>,
-    /// Windows of each person, by number.
-    pub windows_per_person: BTreeMap<u16, u64>,
+    /// Windows of each person.
+    pub windows_per_person: BTreeMap<PersonId, u64>,
+    /// People who have names instead of numbers, by the number that `people.npy` has for each.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub named_people: BTreeMap<u16, PersonId>,
     /// Trials, rest not counted, in which no onset was found.
     pub fallbacks: u64,
     /// How onsets were found, by gesture, and over all as `total`: the paper's table of fallbacks.
@@ -78,6 +82,7 @@ impl Manifest {
             data_set: content.layout.data_set().map(str::to_owned),
             windows,
             windows_per_gesture,
+            named_people: named_people(&recordings),
             windows_per_person,
             fallbacks: recordings.iter().filter(|entry| entry.fallback).count() as u64,
             onsets: Gesture::PAPER_ACTIVE.into_iter().map(of_gesture).chain([total]).collect(),
@@ -89,4 +94,12 @@ impl Manifest {
             provenance: Provenance::default(),
         }
     }
+}
+
+/// A number for everybody who has a name: the smallest that nobody has.
+pub(crate) fn named_people(recordings: &[RecordingEntry]) -> BTreeMap<u16, PersonId> {
+    let people: BTreeSet<PersonId> = recordings.iter().map(|entry| entry.person).collect();
+    let is_free = |number: &u16| !people.contains(&PersonId::Number(*number));
+    let names = people.iter().copied().filter(|person| matches!(person, PersonId::Name(_)));
+    (1..=u16::MAX).filter(is_free).zip(names).collect()
 }

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use tendon_identity::PersonId;
 use tendon_recordings::{
     RecordingError, RecordingSettings, RecordingSource, ReplayStream, Segment, SkippedEntry, ozdemir,
     three_dc,
@@ -14,8 +15,8 @@ use crate::settings::DatasetSettings;
 pub struct Recording {
     /// The file, or the folder whose files it is made of.
     pub path: PathBuf,
-    /// Number of the person.
-    pub person: u16,
+    /// Whose it is.
+    pub person: PersonId,
     /// When it was made, in the words of its layout: `train` and `test` of 3DC.
     pub session: String,
     /// Repetitions of the person's sessions before this one.

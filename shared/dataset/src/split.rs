@@ -12,6 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 
+use tendon_identity::{PersonId, list_of};
 use tendon_recordings::npy::MappedArray;
 
 use crate::listing::Layout;
@@ -22,10 +23,10 @@ use crate::trial::RecordingEntry;
 pub const VALIDATION_SHARE: f64 = 0.2;
 
 /// Two people of 3DC part of whose recordings are copies of each other.
-const THREE_DC_TWINS: [u16; 2] = [13, 14];
+const THREE_DC_TWINS: [PersonId; 2] = [PersonId::Number(13), PersonId::Number(14)];
 
 /// Whether a model that knows person `one` of a layout has seen recordings of `other`.
-pub fn share_recordings(layout: Layout, one: u16, other: u16) -> bool {
+pub fn share_recordings(layout: Layout, one: PersonId, other: PersonId) -> bool {
     let are_twins =
         layout == Layout::ThreeDc && [one, other].iter().all(|person| THREE_DC_TWINS.contains(person));
     one == other || are_twins
@@ -54,7 +55,7 @@ impl Split {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SplitEntry {
     /// People held out, in order.
-    pub test_people: Vec<u16>,
+    pub test_people: Vec<PersonId>,
     /// Sessions held out of all people, in order.
     #[serde(default)]
     pub test_sessions: Vec<String>,
@@ -62,7 +63,7 @@ pub struct SplitEntry {
     #[serde(default)]
     pub held_out: String,
     /// People of whom windows are for training, in order.
-    pub train_people: Vec<u16>,
+    pub train_people: Vec<PersonId>,
     /// [`VALIDATION_SHARE`].
     pub validation_share: f64,
     /// What chance was seeded with.
@@ -110,10 +111,10 @@ pub enum SplitError {
     /// Somebody to hold out who is not there.
     #[error("there is no person {person} to hold out: choose among {}", list_of(.known))]
     UnknownTestPerson {
-        /// The number asked for.
-        person: u16,
+        /// Who was asked for.
+        person: PersonId,
         /// The people there are.
-        known: Vec<u16>,
+        known: Vec<PersonId>,
     },
     /// A session to hold out that nobody has.
     #[error("there is no session {session} to hold out: choose among {}", .known.join(", "))]
@@ -127,7 +128,7 @@ pub enum SplitError {
     #[error("all people ({}) are held out: leave at least one to train on", list_of(.known))]
     EverybodyHeldOut {
         /// The people there are.
-        known: Vec<u16>,
+        known: Vec<PersonId>,
     },
     /// Two people who must stay together.
     #[error(
@@ -137,22 +138,17 @@ pub enum SplitError {
     )]
     TwinsDivided {
         /// The two.
-        people: [u16; 2],
+        people: [PersonId; 2],
     },
-}
-
-/// People, as messages name them.
-pub(crate) fn list_of(people: &[u16]) -> String {
-    people.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// Refuses people to hold out who are not there, are everybody, or cannot be held out alone.
 pub(crate) fn check_people(
-    test_people: &[u16],
+    test_people: &[PersonId],
     layout: Layout,
     recordings: &[Recording],
 ) -> Result<(), SplitError> {
-    let known: BTreeSet<u16> = recordings.iter().map(|recording| recording.person).collect();
+    let known: BTreeSet<PersonId> = recordings.iter().map(|recording| recording.person).collect();
     if let Some(&person) = test_people.iter().find(|person| !known.contains(person)) {
         return Err(SplitError::UnknownTestPerson { person, known: known.into_iter().collect() });
     }
@@ -180,7 +176,7 @@ pub(crate) fn check_sessions(test_sessions: &[String], recordings: &[Recording])
 }
 
 /// What is held out, in words.
-fn held_out(test_people: &[u16], test_sessions: &[String]) -> String {
+fn held_out(test_people: &[PersonId], test_sessions: &[String]) -> String {
     let sessions = || format!("session {} of people trained on", test_sessions.join(", "));
     match (test_people, test_sessions) {
         ([], []) => "nothing".to_owned(),
@@ -193,7 +189,7 @@ fn held_out(test_people: &[u16], test_sessions: &[String]) -> String {
 /// What each window is for, in order.
 pub(crate) fn splits(
     recordings: &[RecordingEntry],
-    test_people: &[u16],
+    test_people: &[PersonId],
     test_sessions: &[String],
     seed: u64,
 ) -> Vec<Split> {
@@ -231,18 +227,18 @@ fn chance(seed: u64, index: u64) -> u64 {
 pub(crate) fn entry_of(
     splits: &[Split],
     recordings: &[RecordingEntry],
-    test_people: &[u16],
+    test_people: &[PersonId],
     test_sessions: &[String],
     seed: u64,
 ) -> SplitEntry {
     let count = |wanted: Split| splits.iter().filter(|&&split| split == wanted).count() as u64;
-    let test_people: BTreeSet<u16> = test_people.iter().copied().collect();
+    let test_people: BTreeSet<PersonId> = test_people.iter().copied().collect();
     let trains = |entry: &&RecordingEntry| !test_sessions.contains(&entry.session);
-    let people: BTreeSet<u16> = recordings.iter().filter(trains).map(|entry| entry.person).collect();
+    let people: BTreeSet<PersonId> = recordings.iter().filter(trains).map(|entry| entry.person).collect();
     let test_sessions: BTreeSet<String> = test_sessions.iter().cloned().collect();
     let test_sessions: Vec<String> = test_sessions.into_iter().collect();
     SplitEntry {
-        held_out: held_out(&test_people.iter().copied().collect::<Vec<u16>>(), &test_sessions),
+        held_out: held_out(&test_people.iter().copied().collect::<Vec<PersonId>>(), &test_sessions),
         test_sessions,
         train_people: people.difference(&test_people).copied().collect(),
         test_people: test_people.into_iter().collect(),

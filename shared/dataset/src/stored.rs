@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_recordings::npy::{Element, MappedArray, NpyError};
 
 use crate::files::{LABELS, MANIFEST, PEOPLE, RECORDINGS, REPETITIONS, SPLITS, WINDOWS};
@@ -178,9 +179,10 @@ impl StoredDataset {
         Gesture::PAPER[self.gesture_number(index)]
     }
 
-    /// Number of the person whose window it is.
-    pub fn person(&self, index: usize) -> u16 {
-        self.people.row(index)[0]
+    /// Whose window it is.
+    pub fn person(&self, index: usize) -> PersonId {
+        let number = self.people.row(index)[0];
+        self.manifest.named_people.get(&number).copied().unwrap_or(PersonId::Number(number))
     }
 
     /// Repetition of the gesture, counted through all sessions of the person.

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_signal::WindowSettings;
 
 /// A trial that windows were cut from: a file, or a part of one.
@@ -11,8 +12,8 @@ use tendon_signal::WindowSettings;
 pub struct RecordingEntry {
     /// The file.
     pub file: PathBuf,
-    /// Number of the person.
-    pub person: u16,
+    /// Whose it is.
+    pub person: PersonId,
     /// When it was made: `train` or `test` of 3DC.
     pub session: String,
     /// Repetition within the session.

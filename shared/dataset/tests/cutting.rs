@@ -144,7 +144,10 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     let mut stored = StoredDataset::open(&out).unwrap();
     assert_eq!((stored.len(), stored.manifest()), (n, &manifest));
     for index in 0..n {
-        assert_eq!((stored.gesture(index).paper_number().unwrap(), stored.person(index)), (labels[index], 7));
+        assert_eq!(
+            (stored.gesture(index).paper_number().unwrap(), stored.person(index)),
+            (labels[index], 7.into())
+        );
         assert_eq!(stored.repetition(index), repetitions[index]);
         let bytes: Vec<u8> = stored.window(index).iter().flat_map(|sample| sample.to_le_bytes()).collect();
         let all = npy_rows(&out.join("windows.npy"), "<f4", &format!("{n}, 2, 600,"));

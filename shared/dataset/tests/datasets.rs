@@ -16,8 +16,14 @@ use tendon_dataset::{
     SplitError, StoredDataset,
 };
 use tendon_gesture::Gesture;
-use tendon_recordings::Channel;
+use tendon_identity::PersonId;
+use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder};
 use tendon_signal::WindowSettings;
+
+/// People of a data set that counts them.
+fn numbered(people: &[u16]) -> Vec<PersonId> {
+    people.iter().copied().map(PersonId::Number).collect()
+}
 
 /// Small windows of two channels, at the rate of 3DC.
 fn settings() -> DatasetSettings {
@@ -115,7 +121,7 @@ fn the_data_set_does_not_depend_on_the_number_of_threads() {
     write_three_dc(&recordings, &[1, 2, 3]);
     let out = |threads: usize| {
         let out = temporary.path().join(format!("{threads}"));
-        let building = BuildSettings { test_people: vec![3], threads, ..BuildSettings::default() };
+        let building = BuildSettings { test_people: numbered(&[3]), threads, ..BuildSettings::default() };
         build(&settings(), &building, &recordings, &out).unwrap();
         contents(&out)
     };
@@ -138,7 +144,7 @@ impl Whole {
         let temporary = tempfile::tempdir().unwrap();
         write_three_dc(&temporary.path().join("recordings"), &[1, 2, 3]);
         let building =
-            BuildSettings { test_people: vec![2], threads: 2, seed: 5, ..BuildSettings::default() };
+            BuildSettings { test_people: numbered(&[2]), threads: 2, seed: 5, ..BuildSettings::default() };
         let out = temporary.path().join("whole");
         build(&settings(), &building, &temporary.path().join("recordings"), &out).unwrap();
         Whole { building, contents: contents(&out), temporary }
@@ -265,7 +271,7 @@ fn two_builds_never_write_to_one_folder() {
 /// What is wrong with the split of a data set: people, or samples, on both sides of the test.
 fn leaks(stored: &StoredDataset, splits: &[Split]) -> Vec<String> {
     let mut leaks = Vec::new();
-    let mut people: BTreeMap<u16, BTreeSet<bool>> = BTreeMap::new();
+    let mut people: BTreeMap<PersonId, BTreeSet<bool>> = BTreeMap::new();
     // Of each file, which samples are on which side.
     let mut spans: BTreeMap<&Path, Vec<(u64, u64, bool)>> = BTreeMap::new();
     let manifest = stored.manifest();
@@ -294,7 +300,7 @@ fn leaks(stored: &StoredDataset, splits: &[Split]) -> Vec<String> {
 }
 
 /// Checks split and statistics of a data set against what they should be.
-fn check_split(out: &Path, test_people: &[u16]) {
+fn check_split(out: &Path, test_people: &[PersonId]) {
     let stored = StoredDataset::open(out).unwrap();
     let manifest = stored.manifest();
     let splits: Vec<Split> = (0..stored.len()).map(|index| stored.split(index)).collect();
@@ -365,11 +371,11 @@ fn check_split(out: &Path, test_people: &[u16]) {
 fn nobody_is_on_both_sides_of_the_test() {
     let temporary = tempfile::tempdir().unwrap();
     write_three_dc(&temporary.path().join("recordings"), &[1, 2, 3, 4]);
-    for test_people in [&[3][..], &[1, 4], &[1, 2, 4]] {
+    for test_people in [&[3][..], &[1, 4], &[1, 2, 4]].map(numbered) {
         let out = temporary.path().join("out");
         let building = BuildSettings { test_people: test_people.to_vec(), ..BuildSettings::default() };
         build(&settings(), &building, &temporary.path().join("recordings"), &out).unwrap();
-        check_split(&out, test_people);
+        check_split(&out, &test_people);
     }
 }
 
@@ -382,14 +388,14 @@ fn nobody_of_the_real_people_is_on_both_sides_of_the_test() {
     // Few windows, for a test that is built without all optimisation.
     let windows = WindowSettings { window_samples: 600, increment_samples: 450 };
     let settings = DatasetSettings { windows, ..DatasetSettings::default() };
-    let building = BuildSettings { test_people: vec![13, 14], ..BuildSettings::default() };
+    let building = BuildSettings { test_people: numbered(&[13, 14]), ..BuildSettings::default() };
     let out = temporary.path().join("out");
     let mut silent = |_: Progress<'_>| ControlFlow::Continue(());
     let manifest = dataset::build(&settings, &building, &paths, &out, &mut silent).unwrap();
     assert_eq!(manifest.split.train_people, [1, 22]);
-    check_split(&out, &[13, 14]);
+    check_split(&out, &numbered(&[13, 14]));
 
-    let divided = BuildSettings { test_people: vec![14], ..BuildSettings::default() };
+    let divided = BuildSettings { test_people: numbered(&[14]), ..BuildSettings::default() };
     let error = dataset::build(&settings, &divided, &paths, &out, &mut silent).unwrap_err();
     assert!(matches!(error, DatasetError::Split(SplitError::TwinsDivided { .. })), "{error}");
     // Where only one of the two is there, nothing is shared.
@@ -402,7 +408,7 @@ fn who_is_held_out_must_be_there_and_not_be_everybody() {
     let temporary = tempfile::tempdir().unwrap();
     write_three_dc(temporary.path(), &[1, 2]);
     let message = |test_people: &[u16]| {
-        let building = BuildSettings { test_people: test_people.to_vec(), ..BuildSettings::default() };
+        let building = BuildSettings { test_people: numbered(test_people), ..BuildSettings::default() };
         build(&settings(), &building, temporary.path(), &temporary.path().join("out"))
             .unwrap_err()
             .to_string()
@@ -436,7 +442,7 @@ fn a_session_that_is_held_out_is_said_to_be_one_of_people_trained_on() {
     };
     let manifest = build_without(&["tuesday"]).unwrap();
     assert_eq!(manifest.split.held_out, "session tuesday of people trained on");
-    assert_eq!((&manifest.split.train_people[..], manifest.split.test_people.len()), (&[1][..], 0));
+    assert_eq!((&manifest.split.train_people, manifest.split.test_people.len()), (&numbered(&[1]), 0));
     let stored = StoredDataset::open(&out).unwrap();
     for index in 0..stored.len() {
         let session = &manifest.recordings[stored.recording(index) as usize].session;
@@ -484,6 +490,33 @@ fn labelled(temporary: &TempDir, labels: &str) -> Result<Manifest, DatasetError>
 }
 
 #[test]
+fn everybody_whom_tendon_recorded_has_their_own_name_in_recordings_of_earlier_versions_too() {
+    let temporary = tempfile::tempdir().unwrap();
+    let own = temporary.path();
+    let channels = ["flexor", "extensor"].map(str::to_owned).to_vec();
+    for name in ["anna", "ben", "carl"] {
+        let session =
+            RecordedSession::new(name.parse().unwrap(), "2026-01-02T03:04:05Z", channels.clone(), 1000.0);
+        let mut recorder = Recorder::create(&own.join(name), session).unwrap();
+        recorder.push(0, &[1.0; 6000]).unwrap();
+        let (asked, repetition) = (String::new(), 0);
+        let trial =
+            RecordedTrial { gesture: Gesture::REST, repetition, asked, start_sample: 0, end_sample: 3000 };
+        assert!(recorder.label(trial).unwrap());
+    }
+    let labels = own.join("carl/labels.csv");
+    let text = fs::read_to_string(&labels).unwrap();
+    assert!(text.contains(",carl,"), "{text}");
+    fs::write(&labels, text.replace(",carl,", ",1,")).unwrap();
+    write_table(&own.join("other/table.csv"), 1, 900);
+    fs::write(own.join("other/labels.csv"), "file,person,repetition,gesture\ntable.csv,1,0,rest\n").unwrap();
+    let settings = DatasetSettings { recording_rate_hz: Some(1000.0), ..settings() };
+    let found = dataset::list(&settings, &[own.to_owned()]).unwrap();
+    let people: Vec<String> = found.recordings.iter().map(|recording| recording.person.to_string()).collect();
+    assert_eq!(people, ["anna", "ben", "carl", "1"]);
+}
+
+#[test]
 fn tables_with_labels_are_cut_as_the_labels_say() {
     let temporary = tempfile::tempdir().unwrap();
     let own = temporary.path().join("own");
@@ -494,11 +527,11 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     let manifest = labelled(
         &temporary,
         "file,person,session,repetition,gesture,start_sample,end_sample\n\
-         anna/monday.csv,1,monday,0,rest,0,1500\n\
-         anna/monday.csv,1,monday,1,Grip,2500,3500\n\
-         anna/monday.csv,1,monday,0,fist,1500,2500\n\
-         anna/monday.csv,1,monday,2,flexion,3700,4100\n\
-         \"anna/tuesday.csv\",1,tuesday,1,extension,,\n\
+         anna/monday.csv,anna,monday,0,rest,0,1500\n\
+         anna/monday.csv,anna,monday,1,Grip,2500,3500\n\
+         anna/monday.csv,anna,monday,0,fist,1500,2500\n\
+         anna/monday.csv,anna,monday,2,flexion,3700,4100\n\
+         \"anna/tuesday.csv\",anna,tuesday,1,extension,,\n\
          ben.csv,2,,0,rest,,\n\
          missing.csv,2,,0,rest,,\n",
     )
@@ -510,16 +543,21 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
             (entry.person, entry.gesture, entry.first_sample, entry.samples, entry.repetition_of_all)
         })
         .collect();
+    let anna: PersonId = "anna".parse().unwrap();
     // Monday has repetitions 0 and 1, so that Tuesday's 1 is the person's fourth.
     assert_eq!(
         found,
         [
-            (1, Gesture::REST, 0, 1500, 0),
-            (1, Gesture::GRIP, 2500, 1000, 1),
-            (1, Gesture::EXTENSION, 0, 900, 4),
-            (2, Gesture::REST, 0, 1200, 0),
+            (anna, Gesture::REST, 0, 1500, 0),
+            (anna, Gesture::GRIP, 2500, 1000, 1),
+            (anna, Gesture::EXTENSION, 0, 900, 4),
+            (PersonId::Number(2), Gesture::REST, 0, 1200, 0),
         ]
     );
+    // In people.npy there are numbers: anna's is one that nobody else has.
+    assert_eq!(manifest.named_people, [(1, anna)].into());
+    let stored = StoredDataset::open(&temporary.path().join("out")).unwrap();
+    assert_eq!([stored.person(0), stored.person(stored.len() - 1)], [anna, PersonId::Number(2)]);
     let skipped: Vec<(String, &str)> = manifest
         .skipped
         .iter()
@@ -591,7 +629,10 @@ fn labels_that_cannot_be_used_are_refused_by_line() {
         ("file,person,gesture\na.csv,1,rest\n", "line 1: there is no column `repetition`"),
         ("file,person,repetition,gesture,hand\n", "line 1: unknown column `hand`"),
         ("file,file,person,repetition,gesture\n", "line 1: column `file` is there twice"),
-        ("a.csv,x,,0,rest,,\n", "line 2: person = `x`: give a whole number of 0 to 65535"),
+        (
+            "a.csv,Anna,,0,rest,,\n",
+            "line 2: person: `Anna` identifies no person: give a whole number of 0 to 65535",
+        ),
         ("a.csv,1,,300,rest,,\n", "line 2: repetition = `300`"),
         ("a.csv,1,,0,rest,5,5\n", "line 2: the trial ends"),
         ("a.csv,1,,0,rest,0,9\na.csv,1,,0,grip,8,20\n", "line 3: its trial and that of line 2 share samples"),
@@ -623,7 +664,8 @@ fn a_file_a_trial_is_told_by_its_name() {
     let manifest = build(&settings, &BuildSettings::default(), &folder, &out).unwrap();
     let found: Vec<_> =
         manifest.recordings.iter().map(|entry| (entry.person, entry.gesture, entry.repetition)).collect();
-    assert_eq!(found, [(1, Gesture::REST, 4), (2, Gesture::EXTENSION, 0)]);
+    let [one, two] = [1, 2].map(PersonId::Number);
+    assert_eq!(found, [(one, Gesture::REST, 4), (two, Gesture::EXTENSION, 0)]);
     assert!(manifest.recordings.iter().all(|entry| entry.samples == 3000));
     let reasons: Vec<&str> = manifest.skipped.iter().map(|entry| entry.reason.as_str()).collect();
     assert_eq!(reasons.len(), 2, "{reasons:?}");
@@ -695,7 +737,10 @@ fn a_mat_file_a_person_is_cut_by_its_timetable() {
     };
     assert!(message(&raw_settings, &raw).contains("lies in a folder `raw`: leave out --filtered"));
     let manifest = build(&settings, &BuildSettings::default(), &raw, &out).unwrap();
-    assert_eq!(manifest.windows_per_person.keys().collect::<Vec<_>>(), [&7, &12]);
+    assert_eq!(
+        manifest.windows_per_person.keys().collect::<Vec<_>>(),
+        [&PersonId::Number(7), &PersonId::Number(12)]
+    );
 
     // Without a filter the samples tell which second they are of.
     let filtered = temporary.path().join("sEMG-dataset/filtered/mat");
@@ -716,7 +761,7 @@ fn a_mat_file_a_person_is_cut_by_its_timetable() {
         let gestures: [Gesture; 6] =
             ["rest", "extension", "flexion", "ulnar", "radial", "grip"].map(|name| name.parse().unwrap());
         assert_eq!(gestures[number.unwrap()], entry.gesture);
-        assert_eq!((entry.samples, entry.person), (6 * RATE_HZ, 12));
+        assert_eq!((entry.samples, entry.person), (6 * RATE_HZ, PersonId::Number(12)));
         let window = index - entry.first_window as usize;
         let first = entry.first_sample as usize + entry.start_sample + 125 * window;
         let expected = (first / RATE_HZ) as f32;

@@ -12,6 +12,7 @@
 use std::collections::BTreeMap;
 
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 
 use crate::evaluation::Spread;
 use crate::strategy_scores::{GestureWindows, RepetitionScores, StrategyScores, Times};
@@ -171,7 +172,14 @@ impl StrategyTally {
     }
 
     /// Takes a recording: its cues and what the strategy made of every window, both in their order.
-    pub fn add(&mut self, person: u16, session: &str, repetition: u32, cues: &[CuePart], steps: &[Step]) {
+    pub fn add(
+        &mut self,
+        person: PersonId,
+        session: &str,
+        repetition: u32,
+        cues: &[CuePart],
+        steps: &[Step],
+    ) {
         for step in steps {
             let samples = step.end_sample - step.first_sample;
             self.window_start_to_command_ms.push(self.ms(samples) + step.work_ns as f64 * 1e-6);

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Display};
 
 use serde::{Deserialize, Serialize};
+use tendon_identity::PersonId;
 use tendon_report::LatencySummary;
 
 use crate::confusion::ClassScores;
@@ -38,8 +39,8 @@ pub struct Evaluation {
     /// The classes mistaken most often; missing when no window was.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub most_confused: Option<ConfusedPair>,
-    /// Accuracy of each person, by number.
-    pub per_person: BTreeMap<u16, Group>,
+    /// Accuracy of each person.
+    pub per_person: BTreeMap<PersonId, Group>,
     /// How much people differ.
     pub people: Spread,
     /// Accuracy of each repetition, by number.

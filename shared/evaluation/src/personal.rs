@@ -19,6 +19,7 @@ use tendon_features::{
     Cohort, FeatureError, LaggedLogCovariance, MemberId, MethodSettings, Prior, PriorError, UnlabelledError,
 };
 use tendon_gesture::{Class, Gesture};
+use tendon_identity::PersonId;
 use tendon_people::{CalibrationError, Made, Person, PersonName, PersonalRecogniser, RecogniseError};
 
 use crate::evaluation::{Evaluation, Spread};
@@ -44,7 +45,7 @@ pub struct PersonalScores {
     /// The recordings.
     pub paths: Vec<String>,
     /// Who was scored.
-    pub people: BTreeSet<u16>,
+    pub people: BTreeSet<PersonId>,
     /// The data set in which they have these numbers, such as `3DC`; `None` for recordings of your own.
     pub data_set: Option<String>,
     /// What calibrated, in words.
@@ -104,7 +105,7 @@ fn main_reason(skipped: &[String]) -> &str {
 /// The recordings at or below some paths, by person.
 pub(crate) struct ByPerson {
     pub(crate) layout: Layout,
-    pub(crate) people: BTreeMap<u16, Vec<Recording>>,
+    pub(crate) people: BTreeMap<PersonId, Vec<Recording>>,
 }
 
 impl ByPerson {
@@ -115,15 +116,15 @@ impl ByPerson {
     ) -> Result<ByPerson, ListingError> {
         let found = list(settings, paths)?;
         skipped.extend(found.skipped.iter().map(ToString::to_string));
-        let mut people: BTreeMap<u16, Vec<Recording>> = BTreeMap::new();
+        let mut people: BTreeMap<PersonId, Vec<Recording>> = BTreeMap::new();
         for recording in found.recordings {
             people.entry(recording.person).or_default().push(recording);
         }
         Ok(ByPerson { layout: found.layout, people })
     }
 
-    pub(crate) fn id(&self, number: u16) -> MemberId {
-        MemberId { data_set: self.layout.data_set().unwrap_or_default().to_owned(), number }
+    pub(crate) fn id(&self, number: PersonId) -> MemberId {
+        MemberId { data_set: self.layout.data_set().unwrap_or_default().to_owned(), person: number }
     }
 
     /// Everybody whose windows can be used, with all their windows. `on_person` is told how many are done.
@@ -170,9 +171,9 @@ pub fn gather_cohort(
 ///
 /// # Errors
 /// The gestures that all of them made are too few.
-pub fn prior_without(cohort: &Cohort, layout: Layout, person: u16) -> Result<Option<Prior>, PriorError> {
+pub fn prior_without(cohort: &Cohort, layout: Layout, person: PersonId) -> Result<Option<Prior>, PriorError> {
     let data_set = layout.data_set().unwrap_or_default();
-    cohort.prior(|member| member.data_set != data_set || !share_recordings(layout, person, member.number))
+    cohort.prior(|member| member.data_set != data_set || !share_recordings(layout, person, member.person))
 }
 
 /// Calibrates to each of the people `wanted` (all when empty) whose recordings lie at or below `paths`, and scores them.
@@ -184,7 +185,7 @@ pub fn prior_without(cohort: &Cohort, layout: Layout, person: u16) -> Result<Opt
 pub fn score_people(
     paths: &[PathBuf],
     settings: &PersonalSettings,
-    wanted: &[u16],
+    wanted: &[PersonId],
     shipped: Option<&Cohort>,
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(PersonalScores, Tally), PersonalError> {
@@ -236,7 +237,7 @@ pub(crate) struct ScoredOn<'a> {
 /// What the people so far gave.
 #[derive(Default)]
 pub(crate) struct Scored {
-    people: BTreeSet<u16>,
+    people: BTreeSet<PersonId>,
     expected: Vec<f64>,
     longest_fit_s: f64,
     fewest_others: Option<usize>,
@@ -266,14 +267,14 @@ impl Scored {
     /// Calibrates to a person and scores them.
     fn person(
         &mut self,
-        number: u16,
+        number: PersonId,
         windows: &PersonWindows,
         settings: &PersonalSettings,
         prior: Option<&Prior>,
     ) -> Result<(), PersonError> {
         let first = windows.sessions().first().map(String::as_str);
         let calibrating = windows.chosen(first, Some(settings.repetitions));
-        let name = PersonName::of_number(number);
+        let name = PersonName::of(number);
         let begun = Instant::now();
         let person = windows.fit(&calibrating, name, Made::default(), &settings.method, prior, &[])?;
         self.fitted(number, begun.elapsed().as_secs_f64(), prior, person.expected.accuracy);
@@ -281,7 +282,13 @@ impl Scored {
     }
 
     /// Notes that somebody was fitted in so many seconds.
-    pub(crate) fn fitted(&mut self, number: u16, fit_s: f64, prior: Option<&Prior>, expected_accuracy: f64) {
+    pub(crate) fn fitted(
+        &mut self,
+        number: PersonId,
+        fit_s: f64,
+        prior: Option<&Prior>,
+        expected_accuracy: f64,
+    ) {
         self.longest_fit_s = self.longest_fit_s.max(fit_s);
         let others = prior.map_or(0, |prior| prior.people().len());
         self.fewest_others = Some(self.fewest_others.map_or(others, |fewest| fewest.min(others)));
@@ -292,7 +299,7 @@ impl Scored {
     /// Scores the windows of the last session that did not calibrate.
     pub(crate) fn windows(
         &mut self,
-        number: u16,
+        number: PersonId,
         windows: &PersonWindows,
         calibrating: &[usize],
         person: &Person,

@@ -13,6 +13,7 @@ use tendon_classifier::{Adaptation, Recogniser};
 use tendon_dataset::{DatasetSettings, Layout, Recording};
 use tendon_features::{Cohort, MethodSettings, PriorError};
 use tendon_gesture::{DecisionSettings, Strategy};
+use tendon_identity::PersonId;
 use tendon_people::{CalibrationError, Made, Person, PersonName};
 use tendon_pipeline::{Pipeline, PipelineError, PipelineSettings};
 
@@ -45,7 +46,7 @@ pub enum PersonalStrategyError {
     )]
     NothingLeft {
         /// The person.
-        person: u16,
+        person: PersonId,
         /// The repetitions that would calibrate.
         repetitions: usize,
     },
@@ -53,7 +54,7 @@ pub enum PersonalStrategyError {
     #[error("person {person} cannot be calibrated: {problem}")]
     Calibration {
         /// The person.
-        person: u16,
+        person: PersonId,
         /// What is wrong with them.
         problem: CalibrationError,
     },
@@ -80,7 +81,7 @@ pub fn calibrate_person(
         .filter(|&window| person.calibrates_repetition(windows.origins()[window].repetition_of_all))
         .collect();
     let prior = prior_without(cohort, layout, number)?;
-    let name = PersonName::of_number(number);
+    let name = PersonName::of(number);
     windows
         .fit(&calibrates, name, Made::default(), method, prior.as_ref(), &[])
         .map_err(|problem| PersonalStrategyError::Calibration { person: number, problem })

@@ -16,6 +16,7 @@ use tendon_dataset::{
     Cut, DatasetSettings, ListingError, Recording, StoredDataset, StoredDatasetError, cut, list,
 };
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_recordings::{Channel, RecordingError};
 use tendon_signal::WindowSettings;
 
@@ -32,7 +33,7 @@ pub struct Scores {
     /// A data set, or recordings.
     pub paths: Vec<String>,
     /// Who was scored.
-    pub people: BTreeSet<u16>,
+    pub people: BTreeSet<PersonId>,
     /// The data set in which they have these numbers, such as `3DC`; `None` for recordings of your own.
     pub data_set: Option<String>,
     /// What the model has not seen of them, in words.
@@ -107,7 +108,7 @@ const WINDOWS_A_ROUND: usize = 256;
 pub fn score_dataset(
     classifier: Classifier,
     folder: &Path,
-    wanted: &[u16],
+    wanted: &[PersonId],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(Scores, Tally), ScoreError> {
     let mut dataset = StoredDataset::open(folder)?;
@@ -160,7 +161,7 @@ pub fn score_recordings(
     classifier: Classifier,
     paths: &[PathBuf],
     channels: &[usize],
-    wanted: &[u16],
+    wanted: &[PersonId],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(Scores, Tally), ScoreError> {
     let settings = settings_of(classifier.contract(), channels);
@@ -190,7 +191,7 @@ pub fn score_recordings(
         match scorer.take_recording(&settings, recording, index)? {
             Ok(cut) => {
                 samples += cut.samples;
-                skipped.extend(cut.skipped.iter().map(ToString::to_string));
+                skipped.extend(cut.skipped.iter().map(ToString::to_string).chain(cut.notices));
             }
             Err(error) => skipped.push(recording.skipped(&error).to_string()),
         }
@@ -218,10 +219,10 @@ fn settings_of(contract: &Contract, channels: &[usize]) -> DatasetSettings {
 fn people_known<'a>(
     classifier: &Classifier,
     data_set: Option<&str>,
-    sessions: impl Iterator<Item = (u16, &'a str)>,
-) -> BTreeSet<u16> {
+    sessions: impl Iterator<Item = (PersonId, &'a str)>,
+) -> BTreeSet<PersonId> {
     let trained_on = &classifier.contract().trained_on;
-    let mut known: BTreeSet<u16> = trained_on.people_of(data_set).iter().copied().collect();
+    let mut known: BTreeSet<PersonId> = trained_on.people_of(data_set).iter().copied().collect();
     for (person, session) in sessions {
         if !trained_on.knows(data_set, person, session) {
             known.remove(&person);
@@ -235,7 +236,7 @@ struct Window<'a> {
     /// Channel-major `[channels × samples]`.
     samples: &'a [f32],
     gesture: Gesture,
-    person: u16,
+    person: PersonId,
     session: &'a str,
     repetition: u8,
     trial: TrialId,
@@ -244,7 +245,7 @@ struct Window<'a> {
 /// A model being scored, window by window.
 struct Scorer {
     classifier: Classifier,
-    people: BTreeSet<u16>,
+    people: BTreeSet<PersonId>,
     data_set: Option<String>,
     tally: Tally,
     sequence: Sequence,
@@ -252,7 +253,7 @@ struct Scorer {
 }
 
 impl Scorer {
-    fn new(classifier: Classifier, people: BTreeSet<u16>, data_set: Option<String>) -> Scorer {
+    fn new(classifier: Classifier, people: BTreeSet<PersonId>, data_set: Option<String>) -> Scorer {
         let Contract { channels, window_samples, sequence_windows, ref classes, .. } = *classifier.contract();
         let tally = Tally::new(classes);
         let sequence = Sequence::new(sequence_windows, channels * window_samples);
@@ -308,7 +309,7 @@ impl Scorer {
     /// What the model has not seen of the people scored, in words.
     fn scored_on(&self) -> String {
         let trained_on = &self.classifier.contract().trained_on;
-        let is_trained = |person: &u16| trained_on.people_of(self.data_set.as_deref()).contains(person);
+        let is_trained = |person: &PersonId| trained_on.people_of(self.data_set.as_deref()).contains(person);
         let trained = self.people.iter().filter(|person| is_trained(person)).count();
         let sessions = trained_on.held_out_sessions.join(", ");
         if trained_on.people.is_empty() {

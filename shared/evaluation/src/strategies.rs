@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use tendon_classifier::Recogniser;
 use tendon_dataset::{DatasetSettings, Recording, RecordingEntry, cut};
 use tendon_gesture::{Action, DecisionSettings, Gesture, Strategy};
+use tendon_identity::PersonId;
 use tendon_pipeline::{Pipeline, PipelineError, PipelineSettings};
 use tendon_recordings::{Channel, RecordingError, ReplayBlock, ReplayStream, Segment};
 
@@ -88,7 +89,7 @@ pub enum StrategyProblem {
     )]
     NotCalibrated {
         /// The person.
-        person: u16,
+        person: PersonId,
         /// By how much all rest of the person is too short, s.
         missing_s: f64,
     },
@@ -97,7 +98,7 @@ pub enum StrategyProblem {
 /// What is scored of a person: recordings that can be read to their ends, in order.
 #[derive(Debug)]
 pub struct PersonRecordings {
-    person: u16,
+    person: PersonId,
     /// At least one.
     recordings: Vec<WithTrials>,
     /// Repetitions that calibrate a recogniser, counted through all sessions; then only the others of the last session
@@ -106,8 +107,8 @@ pub struct PersonRecordings {
 }
 
 impl PersonRecordings {
-    /// Number of the person.
-    pub fn person(&self) -> u16 {
+    /// Who it is.
+    pub fn person(&self) -> PersonId {
         self.person
     }
 

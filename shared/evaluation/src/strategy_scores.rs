@@ -5,6 +5,7 @@ use std::fmt::{self, Display};
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 
 use crate::evaluation::Spread;
 
@@ -41,8 +42,8 @@ impl GestureWindows {
 /// Shares of correctly recognised windows in one repetition, in percent, by gesture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RepetitionScores {
-    /// Number of the person.
-    pub person: u16,
+    /// Who it is.
+    pub person: PersonId,
     /// `train`, `test`, or whatever the recording's layout calls it.
     pub session: String,
     /// Repetition within the session.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::{Class, Gesture};
+use tendon_identity::PersonId;
 use tendon_report::duration_histogram;
 
 use crate::confusion::Confusion;
@@ -12,8 +13,8 @@ use crate::confusion::Confusion;
 /// Whose window it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Origin {
-    /// Number of the person.
-    pub person: u16,
+    /// Whose it is.
+    pub person: PersonId,
     /// Repetition of the gesture, counted through all sessions of the person.
     pub repetition: u8,
 }
@@ -53,7 +54,7 @@ pub struct Tally {
     pub(crate) confusion: Confusion,
     /// Sum of −ln p of the true class.
     pub(crate) loss_sum: f64,
-    pub(crate) people: BTreeMap<u16, Group>,
+    pub(crate) people: BTreeMap<PersonId, Group>,
     pub(crate) repetitions: BTreeMap<u8, Group>,
     pub(crate) work: Histogram<u64>,
     pub(crate) windows_left_out: BTreeMap<Gesture, u64>,
@@ -145,7 +146,7 @@ mod tests {
     fn an_output_that_is_no_number_is_no_answer_and_not_the_first_class() {
         let classes = [Gesture::REST, Gesture::GRIP].map(Class::Gesture);
         let mut tally = Tally::new(&classes);
-        let origin = Origin { person: 1, repetition: 0 };
+        let origin = Origin { person: PersonId::Number(1), repetition: 0 };
         // All of rest, which is class 0.
         for probabilities in [[f32::NAN; 2], [f32::NAN, 1.0], [0.5, f32::INFINITY], [0.9, 0.1]] {
             tally.record(0, origin, Answer { probabilities: &probabilities, work_ns: 1 });
@@ -155,7 +156,7 @@ mod tests {
         assert_eq!((evaluation.accuracy, evaluation.per_class["rest"].recall), (0.25, 0.25));
         assert_eq!(evaluation.per_class["rest"].support, 4);
         assert_eq!(evaluation.confusion, [[1, 0], [0, 0]]);
-        assert_eq!(evaluation.per_person[&1].correct, 1);
+        assert_eq!(evaluation.per_person[&PersonId::Number(1)].correct, 1);
         assert!(evaluation.loss.is_finite() && evaluation.loss > 10.0, "{}", evaluation.loss);
         let text = evaluation.to_string();
         assert!(text.contains("no answer: 3 windows"), "{text}");

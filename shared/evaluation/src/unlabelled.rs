@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Other people are those whose recordings lie beside: the turned armband takes electrodes that the prior that ships does not
-//! have. None of those who are asked for by number is among them.
+//! have. None of those who are asked for is among them.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -20,6 +20,7 @@ use tendon_features::{
     UnlabelledError,
 };
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_people::{Made, Person, PersonName, PersonalRecogniser, RecogniseError};
 use tendon_recordings::Channel;
 
@@ -60,8 +61,8 @@ pub struct UnlabelledScores {
 /// How it went with one person.
 #[derive(Clone, Debug, Serialize)]
 pub struct UnlabelledPerson {
-    /// The number.
-    pub person: u16,
+    /// Who it is.
+    pub person: PersonId,
     /// The share of the gestures that were expected to have their right names, from the stretch alone.
     pub sureness: f64,
     /// Share of the windows of the stretch that were taken for what the person made.
@@ -82,7 +83,7 @@ pub struct UnlabelledPerson {
 pub fn score_unlabelled(
     paths: &[PathBuf],
     settings: &UnlabelledSettings,
-    wanted: &[u16],
+    wanted: &[PersonId],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(UnlabelledScores, Tally), PersonalError> {
     let UnlabelledSettings { dataset, method, stretch_s } = settings;
@@ -139,7 +140,7 @@ fn turned(settings: &DatasetSettings, layout: Layout) -> Vec<(i8, DatasetSetting
 /// What everybody's windows tell of others.
 struct Others {
     cohort: Cohort,
-    placed: Vec<(u16, PlacedGestures)>,
+    placed: Vec<(PersonId, PlacedGestures)>,
 }
 
 impl Others {
@@ -177,10 +178,11 @@ impl Others {
     }
 
     /// The prior and the map of those who share no recordings with anybody `left_out`.
-    fn without(&self, found: &ByPerson, left_out: &[u16]) -> Result<(Prior, GestureMap), PersonalError> {
-        let is_other = |number: u16| !left_out.iter().any(|&out| share_recordings(found.layout, out, number));
-        let others = self.cohort.members().filter(|member| is_other(member.number)).count();
-        let prior = self.cohort.prior(|member| is_other(member.number))?;
+    fn without(&self, found: &ByPerson, left_out: &[PersonId]) -> Result<(Prior, GestureMap), PersonalError> {
+        let is_other =
+            |number: PersonId| !left_out.iter().any(|&out| share_recordings(found.layout, out, number));
+        let others = self.cohort.members().filter(|member| is_other(member.person)).count();
+        let prior = self.cohort.prior(|member| is_other(member.person))?;
         let prior = prior.ok_or(UnlabelledError::TooFewPeople(others))?;
         let placed = self.placed.iter().filter(|(number, _)| is_other(*number));
         let placed: Vec<PlacedGestures> = placed.map(|(_, gestures)| gestures.clone()).collect();
@@ -199,7 +201,7 @@ enum PersonError {
 
 /// A person and those who tell of them.
 struct Calibrating<'a> {
-    number: u16,
+    number: PersonId,
     windows: &'a PersonWindows,
     method: &'a MethodSettings,
     prior: &'a Prior,
@@ -228,7 +230,7 @@ impl Calibrating<'_> {
     }
 
     fn fit(&self, windows: &[usize]) -> Result<(Person, Recognised, Vec<usize>), UnlabelledFitError> {
-        let name = PersonName::of_number(self.number);
+        let name = PersonName::of(self.number);
         self.windows.fit_unlabelled(windows, name, Made::default(), self.method, (self.prior, self.map))
     }
 

@@ -84,7 +84,7 @@ impl PersonWindows {
         });
         match cut {
             Ok(cut) => {
-                skipped.extend(cut.skipped.iter().map(ToString::to_string));
+                skipped.extend(cut.skipped.iter().map(ToString::to_string).chain(cut.notices));
                 let entry_samples = (ENTRY_MS * 1e-3 * settings.sample_rate_hz) as usize;
                 let mut begin_samples = Vec::new();
                 for trial in &cut.trials {

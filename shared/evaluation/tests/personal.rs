@@ -6,12 +6,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use tendon_dataset::DatasetSettings;
+use tendon_emg_simulation::{ContractionSettings, Performance, Profile, SimulatedEmg, SimulationSettings};
 use tendon_evaluation::{
-    PersonalError, PersonalScores, PersonalSettings, UnlabelledSettings, score_people, score_unlabelled,
+    PersonalError, PersonalScores, PersonalSettings, UnlabelledSettings, gather_cohort, score_people,
+    score_unlabelled,
 };
 use tendon_features::MethodSettings;
 use tendon_gesture::Gesture;
-use tendon_recordings::Channel;
+use tendon_identity::PersonId;
+use tendon_recordings::{Channel, RecordedSession, RecordedTrial};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
 
 const CHANNELS: usize = 4;
@@ -101,12 +104,61 @@ fn people_are_calibrated_on_their_first_session_and_scored_on_their_last() {
         recorder.record(person, 2, 1, &Gesture::PAPER);
     }
     let scores = recorder.score(1).unwrap();
-    assert_eq!(scores.people, [1, 2, 3].into());
+    assert_eq!(scores.people, [1, 2, 3].map(PersonId::Number).into());
     assert_eq!(scores.prior_people, 2);
     // 2 s hold 23 windows of 300 ms; only the second session is scored, whose repetition is the third of all, from 0.
     assert_eq!(scores.evaluation.windows, 3 * 6 * 23);
     assert_eq!(scores.evaluation.per_repetition.keys().copied().collect::<Vec<u8>>(), [2]);
     assert!(scores.evaluation.accuracy > 0.95, "{}", scores.evaluation);
+}
+
+/// Records two repetitions of a stranger who comes with the simulation, as `tendon calibrate NAME` does.
+fn record_stranger(folder: &Path, name: &str, stranger: &str) {
+    let profile = Profile::of_stranger(stranger).unwrap();
+    let simulation = SimulationSettings { channels: CHANNELS, sample_rate_hz: 1000.0, ..Default::default() };
+    let mut emg = SimulatedEmg::new(&profile, &simulation).unwrap();
+    let mut performance = Performance::at_rest(emg.gestures(), ContractionSettings::default(), 1000.0);
+    let channels = (0..CHANNELS).map(|channel| format!("channel_{channel}")).collect();
+    let session = RecordedSession::new(name.parse().unwrap(), "2026-01-02T03:04:05Z", channels, 1000.0);
+    let mut recorder = tendon_recordings::Recorder::create(folder, session).unwrap();
+    let mut sample = 0;
+    let mut block = vec![0.0; CHANNELS * 500];
+    for repetition in 0..2 {
+        for gesture in Gesture::PAPER {
+            performance.set_gesture(gesture, 1.0);
+            for _ in 0..4 {
+                emg.fill_block(&mut performance, &mut block);
+                recorder.push(sample, &block).unwrap();
+                sample += 500;
+            }
+            let (start_sample, end_sample, asked) = (sample - 1500, sample, String::new());
+            let trial = RecordedTrial { gesture, repetition, asked, start_sample, end_sample };
+            assert!(recorder.label(trial).unwrap());
+        }
+    }
+    recorder.flush().unwrap();
+}
+
+#[test]
+fn two_people_whom_tendon_recorded_are_scored_as_two_and_each_without_their_own_prior() {
+    let folder = tempfile::tempdir().unwrap();
+    let paths = ["anna", "ben"].map(|name| folder.path().join(name));
+    record_stranger(&paths[0], "anna", "stranger-19");
+    record_stranger(&paths[1], "ben", "stranger-22");
+    let mut settings = settings(1);
+    settings.dataset.channels =
+        (0..CHANNELS).map(|channel| Channel::Name(format!("channel_{channel}"))).collect();
+    let (scores, _) = score_people(&paths, &settings, &[], None, &mut |_, _| {}).unwrap();
+    let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
+    assert_eq!((people, scores.prior_people), (vec!["anna".to_owned(), "ben".to_owned()], 1));
+    let json = serde_json::to_value(&scores).unwrap();
+    assert!(json["per_person"]["anna"].is_object() && json["per_person"]["ben"].is_object(), "{json}");
+    let (scores, _) =
+        score_people(&paths, &settings, &["ben".parse().unwrap()], None, &mut |_, _| {}).unwrap();
+    assert_eq!(scores.people.iter().map(ToString::to_string).collect::<Vec<_>>(), ["ben"]);
+    let cohort = gather_cohort(&paths, &settings.dataset, &settings.method, &mut Vec::new(), &mut |_, _| {});
+    let members: Vec<String> = cohort.unwrap().members().map(ToString::to_string).collect();
+    assert_eq!(members, ["anna", "ben"]);
 }
 
 #[test]
@@ -129,7 +181,7 @@ fn who_cannot_be_calibrated_is_left_out_with_the_reason() {
         recorder.record(3, session, 1, &[Gesture::REST]);
     }
     let scores = recorder.score(1).unwrap();
-    assert_eq!(scores.people, [1].into());
+    assert_eq!(scores.people, [PersonId::Number(1)].into());
     let reasons = scores.skipped.join("\n");
     assert!(reasons.contains("person 2: ") && reasons.contains("rest"), "{reasons}");
     assert!(reasons.contains("person 3: "), "{reasons}");
@@ -155,23 +207,29 @@ fn without_labels_a_stretch_of_use_calibrates_what_others_made_alike() {
     let PersonalSettings { dataset, method, .. } = settings(1);
     let settings = UnlabelledSettings { dataset, method, stretch_s: 12.0 };
 
-    let (scores, _) = score_unlabelled(&paths, &settings, &[2], &mut |_, _| {}).unwrap();
-    assert_eq!((scores.scores.people.clone(), scores.scores.prior_people), ([2].into(), 3));
+    let (scores, _) =
+        score_unlabelled(&paths, &settings, &[2].map(PersonId::Number), &mut |_, _| {}).unwrap();
+    assert_eq!((scores.scores.people.clone(), scores.scores.prior_people), ([PersonId::Number(2)].into(), 3));
     assert_eq!(scores.scores.evaluation.windows, 6 * 23, "the last session");
     assert!(scores.scores.evaluation.accuracy > 0.95, "{}", scores.scores.evaluation);
     let [person] = &scores.unlabelled[..] else { panic!("one person") };
     assert!(person.right_labels > 0.9 && person.sureness > 0.5, "{person:?}");
     assert_eq!(person.all_stretches.len(), 3, "two in the first session, one in the second");
 
-    let (scores, _) = score_unlabelled(&paths, &settings, &[1, 2], &mut |_, _| {}).unwrap();
+    let (scores, _) =
+        score_unlabelled(&paths, &settings, &[1, 2].map(PersonId::Number), &mut |_, _| {}).unwrap();
     assert_eq!(scores.scores.prior_people, 2, "nobody who is scored tells of others");
-    let everybody = score_unlabelled(&paths, &settings, &[1, 2, 3], &mut |_, _| {}).unwrap_err().to_string();
+    let everybody = score_unlabelled(&paths, &settings, &[1, 2, 3].map(PersonId::Number), &mut |_, _| {})
+        .unwrap_err()
+        .to_string();
     assert!(everybody.contains("1 other people are too few"), "{everybody}");
-    let everybody =
-        score_unlabelled(&paths, &settings, &[1, 2, 3, 4], &mut |_, _| {}).unwrap_err().to_string();
+    let everybody = score_unlabelled(&paths, &settings, &[1, 2, 3, 4].map(PersonId::Number), &mut |_, _| {})
+        .unwrap_err()
+        .to_string();
     assert!(everybody.contains("0 other people are too few"), "{everybody}");
     let short = UnlabelledSettings { stretch_s: 2.0, ..settings };
-    let error = score_unlabelled(&paths, &short, &[2], &mut |_, _| {}).unwrap_err().to_string();
+    let error =
+        score_unlabelled(&paths, &short, &[2].map(PersonId::Number), &mut |_, _| {}).unwrap_err().to_string();
     assert!(error.contains("person 2") && error.contains("too few to find 6 gestures"), "{error}");
 }
 

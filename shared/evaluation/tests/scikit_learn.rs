@@ -4,6 +4,7 @@
 use serde_json::Value;
 use tendon_evaluation::{Answer, ClassScores, Evaluation, Origin, Tally};
 use tendon_gesture::{Class, Gesture};
+use tendon_identity::PersonId;
 
 fn cases() -> Vec<Value> {
     serde_json::from_str(include_str!("golden/scores.json")).unwrap()
@@ -23,7 +24,7 @@ fn evaluate(case: &Value) -> Evaluation {
         let probabilities: Vec<f32> = probabilities.iter().map(|value| *value as f32).collect();
         let truth = tally.class_of(gestures[*truth as usize]).unwrap();
         let answer = Answer { probabilities: &probabilities, work_ns: 1000 };
-        tally.record(truth, Origin { person: 1, repetition: 0 }, answer);
+        tally.record(truth, Origin { person: PersonId::Number(1), repetition: 0 }, answer);
     }
     Evaluation::of(&tally)
 }
@@ -62,11 +63,11 @@ fn windows_the_classifier_does_not_know_are_counted_and_named() {
     assert_eq!(tally.class_of(Gesture::REST), None);
     let truth = tally.class_of(Gesture::GRIP).unwrap();
     let answer = Answer { probabilities: &[0.1, 0.1, 0.1, 0.1, 0.6], work_ns: 200_000 };
-    tally.record(truth, Origin { person: 19, repetition: 7 }, answer);
+    tally.record(truth, Origin { person: PersonId::Number(19), repetition: 7 }, answer);
     let evaluation = Evaluation::of(&tally);
     assert_eq!(evaluation.windows_left_out["rest"], 1);
     assert_eq!((evaluation.windows, evaluation.accuracy), (1, 1.0));
-    assert_eq!(evaluation.per_person[&19].correct, 1);
+    assert_eq!(evaluation.per_person[&PersonId::Number(19)].correct, 1);
     let table = evaluation.to_string();
     for part in
         ["accuracy 1.0000", "left out: 1 windows of rest", "person 19", "repetition 7", "200 us (p50)"]

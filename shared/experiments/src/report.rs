@@ -6,6 +6,7 @@ use std::path::Path;
 
 use tendon_evaluation::{GestureWindows, Scores, Spread, StrategyScores, in_words};
 use tendon_gesture::{Gesture, Strategy};
+use tendon_identity::list_of;
 
 use crate::paper::{Paper, PaperModel};
 use crate::run::Results;
@@ -53,15 +54,13 @@ impl Report<'_> {
             }
         }
         for results in self.results {
-            let people =
-                |people: &[u16]| people.iter().map(ToString::to_string).collect::<Vec<String>>().join(", ");
             let trained = results.datasets.values().next().map(|manifest| &manifest.split.train_people[..]);
             writeln!(
                 self.text,
                 "- {}: scored on people {}; models are trained on people {}.",
                 results.source,
-                people(&results.tested_people),
-                people(trained.unwrap_or_default())
+                list_of(&results.tested_people),
+                list_of(trained.unwrap_or_default())
             )?;
             for missing in &results.missing {
                 writeln!(self.text, "- {}: {missing}.", results.source)?;

@@ -14,6 +14,7 @@ use tendon_evaluation::{
 };
 use tendon_figures::write_score_figures;
 use tendon_gesture::{DecisionSettings, Strategy};
+use tendon_identity::PersonId;
 use tendon_output::{OutputFile, OutputFolder, collect};
 use tendon_pipeline::PipelineSettings;
 use tendon_provenance::Provenance;
@@ -37,9 +38,9 @@ pub struct Settings {
     /// Folder of everything that is made.
     pub out: PathBuf,
     /// People of 3DC who are held out for the test.
-    pub three_dc_test_people: Vec<u16>,
+    pub three_dc_test_people: Vec<PersonId>,
     /// People of the Ozdemir data set who are held out for the test.
-    pub ozdemir_test_people: Vec<u16>,
+    pub ozdemir_test_people: Vec<PersonId>,
     /// Seeds of the trainings; at least one.
     pub seeds: Vec<u64>,
     /// Epochs of a training.
@@ -81,8 +82,8 @@ pub enum Event<'a> {
 pub struct Results {
     /// What the source is called.
     pub source: &'static str,
-    /// Numbers of the people who are held out: everything is scored on them.
-    pub tested_people: Vec<u16>,
+    /// The people who are held out: everything is scored on them.
+    pub tested_people: Vec<PersonId>,
     /// Settings, counts and onsets, by data set.
     pub datasets: BTreeMap<&'static str, Manifest>,
     /// Scores on the people held out, by model, one for each seed.
@@ -106,7 +107,7 @@ struct Source {
     recordings: PathBuf,
     channels: Vec<usize>,
     filter: Option<FilterSettings>,
-    test_people: Vec<u16>,
+    test_people: Vec<PersonId>,
     /// Whether `tendon run` can replay its recordings.
     can_be_replayed: bool,
 }
@@ -222,7 +223,7 @@ impl Run<'_> {
     fn is_of_source(&self, manifest: &Manifest) -> bool {
         let hash =
             |provenance: &Provenance| provenance.recording.as_ref().map(|recording| recording.sha256.clone());
-        let people: BTreeSet<u16> = self.source.test_people.iter().copied().collect();
+        let people: BTreeSet<PersonId> = self.source.test_people.iter().copied().collect();
         let recorded = hash(&manifest.provenance);
         recorded.is_some()
             && recorded == hash(&self.provenance)
@@ -318,7 +319,7 @@ impl Run<'_> {
             decision: DecisionSettings::default(),
         };
         let settings = tendon_evaluation::dataset_settings(&pipeline_settings, &self.source.channels);
-        let test_people: BTreeSet<u16> = self.source.test_people.iter().copied().collect();
+        let test_people: BTreeSet<PersonId> = self.source.test_people.iter().copied().collect();
         let found = list(&settings, from_ref(&self.source.recordings))?;
         let recordings: Vec<Recording> = found
             .recordings

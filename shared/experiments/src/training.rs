@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use tendon_classifier::trained_on;
 use tendon_dataset::Manifest;
+use tendon_identity::{PersonId, list_of};
 
 use crate::error::ExperimentError;
 use crate::plan::Training;
@@ -29,7 +30,7 @@ pub(crate) enum Acquaintance {
     /// On others, but on nobody whom the data set holds out for the test.
     Others,
     /// On these people, whom the data set holds out for the test.
-    Tested(Vec<u16>),
+    Tested(Vec<PersonId>),
     /// It does not say.
     Unknown,
 }
@@ -42,7 +43,7 @@ impl Acquaintance {
         }
         let trained = trained_on(model).unwrap_or_default();
         let tested = &dataset.split.test_people;
-        let both: Vec<u16> = trained
+        let both: Vec<PersonId> = trained
             .people_of(dataset.data_set.as_deref())
             .iter()
             .copied()
@@ -74,8 +75,7 @@ impl Acquaintance {
                 Some(format!("{name} was trained on other people than its data set holds: {remedy}"))
             }
             Acquaintance::Tested(people) => {
-                let people: Vec<String> = people.iter().map(ToString::to_string).collect();
-                let people = people.join(", ");
+                let people = list_of(people);
                 Some(format!("{name} is not scored: it was trained on {people}, who are held out: {remedy}"))
             }
             Acquaintance::Unknown => {
@@ -183,19 +183,21 @@ mod tests {
     use tendon_dataset::{DatasetSettings, SplitEntry, SplitWindows, TrainingStatistics};
 
     fn manifest(train_people: &[u16], test_people: &[u16]) -> Manifest {
+        let people = |numbers: &[u16]| numbers.iter().copied().map(PersonId::from).collect();
         Manifest {
             settings: DatasetSettings::default(),
             data_set: Some("3DC".to_owned()),
             windows: 0,
             windows_per_gesture: BTreeMap::new(),
             windows_per_person: BTreeMap::new(),
+            named_people: BTreeMap::new(),
             fallbacks: 0,
             onsets: BTreeMap::new(),
             split: SplitEntry {
-                test_people: test_people.to_vec(),
+                test_people: people(test_people),
                 test_sessions: Vec::new(),
                 held_out: String::new(),
-                train_people: train_people.to_vec(),
+                train_people: people(train_people),
                 validation_share: 0.2,
                 seed: 0,
                 windows: SplitWindows::default(),
@@ -216,7 +218,7 @@ mod tests {
         assert_eq!(acquaintance(&manifest(&own, &[19, 20, 22])), Acquaintance::Same);
         assert_eq!(acquaintance(&manifest(&[1, 3, 19], &[20])), Acquaintance::Others);
         let tested = acquaintance(&manifest(&[4, 19, 20], &[3, 9, 22]));
-        assert_eq!(tested, Acquaintance::Tested(vec![3, 9]));
+        assert_eq!(tested, Acquaintance::Tested(vec![3.into(), 9.into()]));
         assert!(!tested.may_be_tested());
         let remark = tested.remark("cnn-raw").unwrap();
         assert!(remark.contains("cnn-raw is not scored: it was trained on 3, 9") && remark.contains("--out"));

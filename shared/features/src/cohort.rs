@@ -10,6 +10,7 @@ use std::fmt;
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
+use tendon_identity::PersonId;
 
 use crate::covariance::LaggedLogCovariance;
 use crate::error::{FeatureError, FitError, PriorError};
@@ -27,13 +28,17 @@ const VERSION: u32 = 2;
 pub struct MemberId {
     /// The data set; empty for recordings of your own.
     pub data_set: String,
-    /// The person's number in it.
-    pub number: u16,
+    /// Who it is there.
+    #[serde(rename = "number")]
+    pub person: PersonId,
 }
 
 impl fmt::Display for MemberId {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{} {}", self.data_set, self.number)
+        match self.data_set.as_str() {
+            "" => write!(out, "{}", self.person),
+            data_set => write!(out, "{data_set} {}", self.person),
+        }
     }
 }
 

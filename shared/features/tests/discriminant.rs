@@ -4,6 +4,7 @@ use tendon_features::{
     Class, Cohort, CrossValidation, Discriminant, FeatureLayout, FitError, LaggedLogCovariance, MemberId,
     MethodSettings, Prior, PriorError, Training, WithinClassScatter, recognised_in_new_repetitions,
 };
+use tendon_identity::PersonId;
 
 /// Windows of three features about the means 0, 3 and 6, in turns of the classes.
 struct Session {
@@ -212,7 +213,7 @@ fn cohort() -> Cohort {
         if number == 3 {
             session.blocks.fill(0);
         }
-        let id = MemberId { data_set: "3DC".to_owned(), number };
+        let id = MemberId { data_set: "3DC".to_owned(), person: PersonId::Number(number) };
         cohort.add(id, &[session.training()], &session.training()).expect("a member");
     }
     cohort
@@ -225,7 +226,7 @@ fn a_cohort_survives_a_file_and_leaves_out_whom_it_should() {
     assert_eq!(read.layout(), cohort.layout());
     assert_eq!(read.members().map(ToString::to_string).collect::<Vec<_>>(), ["3DC 1", "3DC 2", "3DC 3"]);
     let prior = |cohort: &Cohort, left_out: u16| {
-        cohort.prior(|member| member.number != left_out).expect("a prior").expect("enough people")
+        cohort.prior(|member| member.person != left_out).expect("a prior").expect("enough people")
     };
     let (ours, theirs) = (prior(&read, 2), prior(&cohort, 2));
     assert_eq!(ours.people(), ["3DC 1", "3DC 3"]);
@@ -317,7 +318,7 @@ fn in_repetitions_that_differ_more_than_gestures_do_less_is_recognised() {
             for (window, block) in other.features.chunks_exact_mut(3).zip(blocks) {
                 window[0] += spread * (block as f64 - 1.5) * if number % 2 == 0 { 1.0 } else { -1.0 };
             }
-            let id = MemberId { data_set: String::new(), number };
+            let id = MemberId { data_set: String::new(), person: PersonId::Number(number) };
             cohort.add(id, &[other.training()], &other.training()).expect("a member");
         }
         let prior = cohort.prior(|_| true).expect("a prior").expect("enough people");

@@ -100,12 +100,21 @@ struct Head {
 impl Person {
     /// The text of the person's file.
     pub fn to_text(&self) -> String {
-        let body = toml::to_string(self).expect("names, numbers and lists: nothing that TOML cannot say");
-        let crc32 = crc32fast::hash(body.as_bytes());
+        let body = self.body();
         format!(
-            "format = \"{FORMAT}\"\nversion = {VERSION}\nbytes = {}\ncrc32 = \"{crc32:08x}\"\n\n{body}",
-            body.len()
+            "format = \"{FORMAT}\"\nversion = {VERSION}\nbytes = {}\ncrc32 = \"{}\"\n\n{body}",
+            body.len(),
+            checksum_of(&body)
         )
+    }
+
+    /// Tells this person from any other, by all that is in their file.
+    pub fn checksum(&self) -> String {
+        checksum_of(&self.body())
+    }
+
+    fn body(&self) -> String {
+        toml::to_string(self).expect("names, numbers and lists: nothing that TOML cannot say")
     }
 
     /// Reads what [`to_text`](Self::to_text) wrote.
@@ -129,7 +138,7 @@ impl Person {
         if body.len() < bytes {
             return Err(PersonProblem::CutShort { found: body.len(), expected: bytes });
         }
-        if body.len() > bytes || format!("{:08x}", crc32fast::hash(body.as_bytes())) != crc32 {
+        if body.len() > bytes || checksum_of(body) != crc32 {
             return Err(PersonProblem::Checksum);
         }
         Person::from_body(body)
@@ -157,6 +166,10 @@ impl Person {
         Person::from_text(&text)
             .map_err(|problem| PersonFileError::Problem { path: path.to_owned(), problem })
     }
+}
+
+fn checksum_of(body: &str) -> String {
+    format!("{:08x}", crc32fast::hash(body.as_bytes()))
 }
 
 fn content(error: &toml::de::Error) -> PersonProblem {

@@ -32,4 +32,4 @@ pub use name::{InvalidName, PersonName};
 pub use person::{Fitted, GestureFit, Made, Person, SignalFit};
 pub use quality::{ChannelQuality, ClippingWatch};
 pub use recogniser::{Adaptation, Difference, PersonalRecogniser, RecogniseError, Recognition, SignalOffer};
-pub use store::{People, PeopleError};
+pub use store::{People, PeopleError, Reserved};

@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
+use tendon_identity::PersonId;
 
 /// Longest name, in characters.
 const LONGEST: usize = 40;
@@ -21,9 +22,17 @@ pub struct PersonName(String);
 pub struct InvalidName(pub String);
 
 impl PersonName {
-    /// The name of somebody of whom only the number in a data set is known.
-    pub fn of_number(number: u16) -> PersonName {
-        PersonName(format!("person-{number}"))
+    /// The name of somebody of a data set.
+    pub fn of(person: PersonId) -> PersonName {
+        match person {
+            PersonId::Number(number) => PersonName(format!("person-{number}")),
+            PersonId::Name(name) => PersonName(name.as_str().to_owned()),
+        }
+    }
+
+    /// Who it is among the people of this user.
+    pub fn id(&self) -> PersonId {
+        self.0.parse().expect("a name of a person identifies somebody")
     }
 
     /// The name.
@@ -72,8 +81,9 @@ mod tests {
 
     #[test]
     fn a_name_is_one_that_every_folder_can_have() {
-        for name in ["anna", "a", "left-arm_2", &"x".repeat(40)] {
-            assert_eq!(name.parse::<PersonName>().unwrap().as_str(), name);
+        for name in ["anna", "a", "left-arm_2", "7", "007", "70000", &"x".repeat(40)] {
+            let parsed: PersonName = name.parse().unwrap();
+            assert_eq!((parsed.as_str(), parsed.id().to_string().as_str()), (name, name));
         }
         for name in ["", "Anna", "a b", "../a", "ä", ".", &"x".repeat(41)] {
             let message = name.parse::<PersonName>().unwrap_err().to_string();

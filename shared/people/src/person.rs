@@ -51,6 +51,9 @@ pub struct Made {
     pub commit: String,
     /// From what, in words.
     pub from: String,
+    /// The recordings' files and folders, absolute; none where `from` alone says it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub recordings: Vec<String>,
     /// SHA-256 of the recordings; empty if there are none.
     pub recordings_sha256: String,
     /// The people whose recordings made the prior, such as `3DC 1`; empty without one.

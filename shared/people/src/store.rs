@@ -3,11 +3,14 @@
 //! ```text
 //! $XDG_DATA_HOME/tendon/people       else ~/.local/share/tendon/people
 //!   anna/person.toml
+//!   anna/person.previous.toml        the one before, if it was replaced
 //!   anna/…                           the recordings of the calibration
+//!   anna.lock                        held by who calibrates anna, free again however that ends
 //! ```
 
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use tendon_paths::{PathError, PrivateFolder, data_folder};
@@ -18,6 +21,8 @@ use crate::person::Person;
 
 /// A person's file in their folder.
 const FILE: &str = "person.toml";
+/// What was their file before, in the same folder.
+const PREVIOUS: &str = "person.previous.toml";
 
 /// All people of this user.
 #[derive(Debug)]
@@ -75,6 +80,20 @@ pub enum PeopleError {
         file: PathBuf,
         /// Its permission bits.
         mode: u32,
+    },
+    /// Somebody else calibrates the person.
+    #[error("`{name}` is being calibrated by another process: wait until it has ended, or take another name")]
+    Busy {
+        /// The name.
+        name: PersonName,
+    },
+    /// A file beside the person's cannot be written.
+    #[error("cannot write {}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
     },
     /// The person's file cannot be used.
     #[error(transparent)]
@@ -182,6 +201,28 @@ impl People {
         Ok(())
     }
 
+    /// Where a person's file goes when another one takes its place.
+    pub fn previous_of(&self, name: &PersonName) -> PathBuf {
+        self.folder_of(name).join(PREVIOUS)
+    }
+
+    /// Reserves a name for a calibration. Nobody else gets it until the result is dropped, or this process ends in any way.
+    ///
+    /// # Errors
+    ///
+    /// [`PeopleError::Busy`] if somebody else has it.
+    pub fn reserve(&self, name: &PersonName) -> Result<Reserved, PeopleError> {
+        let path = self.folder.path().join(format!("{name}.lock"));
+        let failed = |source: io::Error| PeopleError::Write { path: path.clone(), source };
+        let file = OpenOptions::new().write(true).create(true).truncate(false).mode(0o600).open(&path);
+        let file = file.map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Reserved { _lock: file }),
+            Err(TryLockError::WouldBlock) => Err(PeopleError::Busy { name: name.clone() }),
+            Err(TryLockError::Error(source)) => Err(failed(source)),
+        }
+    }
+
     /// Keeps somebody new.
     ///
     /// # Errors
@@ -192,15 +233,39 @@ impl People {
         self.replace(person)
     }
 
-    /// Keeps a person in place of the one that has their name, if there is one. Returns the file. After a crash it holds
-    /// the old person or the new one.
+    /// Keeps a person in place of the one that has their name, if there is one, whose file stays as
+    /// [`previous_of`](Self::previous_of). Returns the file. After a crash each file holds the old person or the new one.
     ///
     /// # Errors
     ///
-    /// The file cannot be written.
+    /// A file cannot be written.
     pub fn replace(&self, person: &Person) -> Result<PathBuf, PeopleError> {
         let folder = PrivateFolder::open(&self.folder_of(&person.name))?;
+        self.keep_previous(&person.name)?;
         folder.write(FILE, person.to_text().as_bytes())?;
         Ok(folder.path().join(FILE))
     }
+
+    /// Copies the file of a person, if there is one, to where the previous one is kept.
+    fn keep_previous(&self, name: &PersonName) -> Result<(), PeopleError> {
+        let (file, previous) = (self.file_of(name), self.previous_of(name));
+        if !file.exists() {
+            return Ok(());
+        }
+        let temporary = previous.with_extension(format!("new-{}", std::process::id()));
+        let copied = fs::copy(&file, &temporary)
+            .and_then(|_| File::open(&temporary)?.sync_all())
+            .and_then(|()| fs::rename(&temporary, &previous));
+        if copied.is_err() {
+            let _ = fs::remove_file(&temporary);
+        }
+        copied.map_err(|source| PeopleError::Write { path: previous, source })
+    }
+}
+
+/// A name that nobody else may calibrate for now.
+#[derive(Debug)]
+pub struct Reserved {
+    /// Closed, and with it unlocked, when this is dropped.
+    _lock: File,
 }

@@ -4,7 +4,7 @@
 //! file,person,session,repetition,gesture,start_sample,end_sample
 //! anna/monday.csv,1,monday,0,rest,0,10000          one line a trial; samples are counted from 0 in the file,
 //! anna/monday.csv,1,monday,0,extension,12000,20000 at its own rate; the end sample is not part of the trial
-//! ben.csv,2,,1,grip,,                              no start, no end: the whole file
+//! ben.csv,ben,,1,grip,,                            no start, no end: the whole file; a person is a number or a name
 //! ```
 //! Columns may stand in any order; `session`, `start_sample`, `end_sample` and `asked` may be left out. What stands in
 //! `asked`, for people, says how the gesture was asked for. All trials of a file
@@ -18,6 +18,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 
 use crate::segment::{Segment, SkippedEntry};
 
@@ -40,8 +41,8 @@ const ONLY_SESSION: &str = "1";
 pub struct LabelledFile {
     /// The table.
     pub path: PathBuf,
-    /// Number of the person.
-    pub person: u16,
+    /// Whose it is.
+    pub person: PersonId,
     /// When it was recorded, in the user's words.
     pub session: String,
     /// Its trials, and what lies between them.
@@ -67,7 +68,7 @@ struct Label {
 /// Whose file it is, by its first label, and its labels.
 struct Labels {
     line: u64,
-    person: u16,
+    person: PersonId,
     session: String,
     labels: Vec<Label>,
 }
@@ -105,7 +106,7 @@ pub fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<Labell
 /// A line's cells.
 struct Row {
     file: String,
-    person: u16,
+    person: PersonId,
     session: String,
     repetition: u32,
     gesture: String,
@@ -130,8 +131,8 @@ impl Row {
         if cell("file").is_empty() {
             return Err(LabelsProblem::NoFile);
         }
-        let (person, repetition) =
-            (number("person", u16::MAX.into())? as u16, number("repetition", u8::MAX.into())? as u32);
+        let person = cell("person").parse().map_err(LabelsProblem::NoPerson)?;
+        let repetition = number("repetition", u8::MAX.into())? as u32;
         let (start_sample, end_sample) = (sample("start_sample")?.unwrap_or(0), sample("end_sample")?);
         if end_sample.is_some_and(|end| end <= start_sample) {
             return Err(LabelsProblem::EndsBeforeStart { start_sample });
@@ -176,12 +177,11 @@ impl LabelsOfFiles {
             labels: Vec::new(),
         });
         if (labels.person, &labels.session) != (row.person, &row.session) {
+            let origin = |person: PersonId, session: &str| format!("person {person}, session {session}");
             return Err(LabelsProblem::OtherOrigin {
                 file: row.file,
-                person: row.person,
-                session: row.session,
-                first_person: labels.person,
-                first_session: labels.session.clone(),
+                origin: origin(row.person, &row.session),
+                first_origin: origin(labels.person, &labels.session),
                 first_line: labels.line,
             });
         }

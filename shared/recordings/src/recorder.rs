@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_identity::PersonId;
 use tendon_paths::{PathError, PrivateFolder};
 use tendon_signal::FilterSettings;
 
@@ -27,8 +28,6 @@ const FORMAT: &str = "tendon-recording";
 const VERSION: u32 = 1;
 /// Largest such file, bytes.
 const LARGEST: u64 = 1 << 20;
-/// Number of the person in the labels: a recording is of one.
-const PERSON: u16 = 1;
 
 /// What a recording is of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,7 +36,7 @@ pub struct RecordedSession {
     format: String,
     version: u32,
     /// Whose it is.
-    pub person: String,
+    pub person: PersonId,
     /// When it began, RFC 3339 in UTC. It names the session in the labels.
     pub at: String,
     /// The channels by name.
@@ -95,11 +94,11 @@ pub enum RecorderError {
 
 impl RecordedSession {
     /// A recording that begins now. The program's version and commit are left empty.
-    pub fn new(person: &str, at: &str, channels: Vec<String>, sample_rate_hz: f64) -> RecordedSession {
+    pub fn new(person: PersonId, at: &str, channels: Vec<String>, sample_rate_hz: f64) -> RecordedSession {
         RecordedSession {
             format: FORMAT.to_owned(),
             version: VERSION,
-            person: person.to_owned(),
+            person,
             at: at.to_owned(),
             channels,
             sample_rate_hz,
@@ -344,8 +343,9 @@ impl Recorder {
             let RecordedTrial { gesture, repetition, asked, start_sample, end_sample } = trial;
             let first = self.files[number - 1].first_sample;
             text += &format!(
-                "{},{PERSON},{},{repetition},{gesture},{},{},{asked}\n",
+                "{},{},{},{repetition},{gesture},{},{},{asked}\n",
                 part_name(self.earlier_files + number),
+                self.session.person,
                 self.session.at,
                 start_sample - first,
                 end_sample - first
@@ -366,6 +366,11 @@ impl Recorder {
     }
 }
 
+/// Whether a table is part of a recording that was made by [`Recorder`], which ends every line.
+pub(crate) fn is_recorded(table: &Path) -> bool {
+    table.with_file_name(SESSION_FILE).is_file()
+}
+
 fn part_name(number: usize) -> String {
     format!("emg-{number}.csv")
 }
@@ -378,7 +383,7 @@ mod tests {
 
     fn session() -> RecordedSession {
         let channels = ["flexor", "extensor"].map(str::to_owned).to_vec();
-        RecordedSession::new("anna", "2026-01-02T03:04:05Z", channels, 2000.0)
+        RecordedSession::new("anna".parse().unwrap(), "2026-01-02T03:04:05Z", channels, 2000.0)
     }
 
     fn trial(gesture: Gesture, start_sample: u64, end_sample: u64) -> RecordedTrial {
@@ -409,7 +414,8 @@ mod tests {
         assert_eq!(rows.len(), 13);
         assert_eq!(rows[..3], [[block[0], block[3]], [block[1], block[4]], [block[2], block[5]]]);
         let files = labels::read(&folder, &mut Vec::new()).unwrap();
-        assert_eq!((files.len(), files[0].person, files[0].session.as_str()), (1, 1, "2026-01-02T03:04:05Z"));
+        let origin = (files[0].person.to_string(), files[0].session.as_str());
+        assert_eq!((files.len(), origin), (1, ("anna".to_owned(), "2026-01-02T03:04:05Z")));
         let segment = &files[0].segments[1];
         assert_eq!((segment.cue, segment.end_sample), (Some(Gesture::REST), Some(10)));
         assert_eq!(files[0].segments[0].end_sample, Some(1));

@@ -35,6 +35,13 @@ pub enum Notice {
         /// The repetition that is not there.
         repetition: u32,
     },
+    /// The last line of a recording that Tendon made is not whole: the disk was full, or the power gone.
+    CutShort {
+        /// The file.
+        file: PathBuf,
+        /// Whole lines of samples before it.
+        lines: u64,
+    },
 }
 
 impl fmt::Display for Notice {
@@ -46,6 +53,11 @@ impl fmt::Display for Notice {
             Notice::MissingRepetition { folder, repetition } => {
                 write!(formatter, "{} has no repetition {repetition}", folder.display())
             }
+            Notice::CutShort { file, lines } => write!(
+                formatter,
+                "{}: the last line is cut short and was left out; {lines} lines of samples before it were read",
+                file.display()
+            ),
         }
     }
 }

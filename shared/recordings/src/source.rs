@@ -7,6 +7,7 @@ use tendon_gesture::Gesture;
 
 use crate::error::RecordingError;
 use crate::mapped::MappedFile;
+use crate::recorder::is_recorded;
 use crate::segment::{Notice, Segment};
 use crate::table::{Channel, Table};
 use crate::three_dc;
@@ -55,9 +56,38 @@ pub struct RecordingSource {
 #[derive(Debug)]
 enum Samples {
     /// In a text file, the one of the current segment.
-    Table { table: Table, file: MappedFile },
+    Table { table: Table, text: Text },
     /// In memory: the chosen channels, all of the same length.
     Columns(Vec<Vec<f32>>),
+}
+
+/// The text of a table that is read: of a recording that Tendon made, whole lines only.
+#[derive(Debug)]
+struct Text {
+    file: MappedFile,
+    /// Bytes of it that are read.
+    length: usize,
+}
+
+impl Text {
+    /// Maps the file at `path`, and says what is left out of it.
+    fn open(path: &Path) -> Result<(Text, Option<Notice>), RecordingError> {
+        let file = MappedFile::open(path).map_err(RecordingError::open(path))?;
+        let bytes = file.bytes();
+        let length = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |newline| newline + 1);
+        if length == bytes.len() || !is_recorded(path) {
+            let length = bytes.len();
+            return Ok((Text { file, length }, None));
+        }
+        let newlines = bytes[..length].iter().filter(|byte| **byte == b'\n').count() as u64;
+        // The first line has the names of the channels.
+        let notice = Notice::CutShort { file: path.to_owned(), lines: newlines.saturating_sub(1) };
+        Ok((Text { file, length }, Some(notice)))
+    }
+
+    fn bytes(&self) -> &[u8] {
+        &self.file.bytes()[..self.length]
+    }
 }
 
 impl RecordingSource {
@@ -77,8 +107,9 @@ impl RecordingSource {
         let segments = segments(path, settings, &mut notices)?;
         let known_hz = segments[0].repetition.map(|_| three_dc::SAMPLE_RATE_HZ);
         let sample_rate_hz = sample_rate(path, known_hz, settings.sample_rate_hz)?;
-        let source = RecordingSource::of_table(segments, &settings.channels, sample_rate_hz)?;
-        Ok(RecordingSource { notices, ..source })
+        let mut source = RecordingSource::of_table(segments, &settings.channels, sample_rate_hz)?;
+        source.notices.splice(..0, notices);
+        Ok(source)
     }
 
     /// Opens the text files that `segments` name, at least one.
@@ -91,11 +122,11 @@ impl RecordingSource {
         sample_rate_hz: f64,
     ) -> Result<RecordingSource, RecordingError> {
         let first = &segments[0].file;
-        let file = MappedFile::open(first).map_err(RecordingError::open(first))?;
-        let table = Table::open(file.bytes(), channels).map_err(RecordingError::table(first))?;
-        let samples = Samples::Table { table, file };
+        let (text, notice) = Text::open(first)?;
+        let table = Table::open(text.bytes(), channels).map_err(RecordingError::table(first))?;
+        let samples = Samples::Table { table, text };
         let channels = channels.len();
-        let notices = Vec::new();
+        let notices = notice.into_iter().collect();
         Ok(RecordingSource { segments, notices, sample_rate_hz, channels, samples, segment: 0, position: 0 })
     }
 
@@ -195,9 +226,9 @@ impl RecordingSource {
             let mut count = 0;
             let mut problem = None;
             match &mut self.samples {
-                Samples::Table { table, file } => {
+                Samples::Table { table, text } => {
                     for frame in wanted {
-                        match table.next_row(file.bytes(), frame) {
+                        match table.next_row(text.bytes(), frame) {
                             Ok(true) => count += 1,
                             Ok(false) => break,
                             Err(error) => {
@@ -206,7 +237,7 @@ impl RecordingSource {
                             }
                         }
                     }
-                    file.release_before(table.position());
+                    text.file.release_before(table.position());
                 }
                 Samples::Columns(columns) => {
                     let position = self.position as usize;
@@ -235,10 +266,11 @@ impl RecordingSource {
 
     fn open_next_segment(&mut self) -> Result<(), RecordingError> {
         let path = &self.segments[self.segment + 1].file;
-        if let Samples::Table { table, file } = &mut self.samples {
-            let next = MappedFile::open(path).map_err(RecordingError::open(path))?;
+        if let Samples::Table { table, text } = &mut self.samples {
+            let (next, notice) = Text::open(path)?;
             table.continue_with(next.bytes()).map_err(RecordingError::table(path))?;
-            *file = next;
+            *text = next;
+            self.notices.extend(notice);
         }
         self.segment += 1;
         self.position = 0;

@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -136,8 +136,10 @@ impl SealedConfig {
 pub struct Children {
     /// Where the programs lie.
     folder: PathBuf,
-    /// The program that acquires, if it is not the one there.
-    acquisition: Option<PathBuf>,
+    /// The program that acquires.
+    acquisition: PathBuf,
+    /// Whether `acquisition.program` names it.
+    is_named: bool,
     config: SealedConfig,
     events: Sender<Event>,
     robot: RobotLine,
@@ -171,8 +173,15 @@ impl Running {
     }
 }
 
-/// Checks that the program that acquires instead of the one beside this program, if the configuration names one, can be
-/// started.
+/// The program that acquires, if programs of Tendon lie in `folder`: the one that the configuration names, else the one of
+/// its source.
+fn source_program(config: &Config, folder: &Path) -> PathBuf {
+    let acquisition = &config.acquisition;
+    let of_source = acquisition.source.program().unwrap_or_default();
+    acquisition.program.clone().unwrap_or_else(|| folder.join(of_source))
+}
+
+/// Checks that the program that acquires can be started, if the configuration names one.
 ///
 /// # Errors
 ///
@@ -187,8 +196,8 @@ pub fn check_source_program(config: &Config) -> Result<(), ChildrenError> {
 }
 
 impl Children {
-    /// Starts `stages`, which lie beside this program, on this configuration; instead of the acquisition there, the
-    /// program that the configuration names. What they say comes as `events`, what they write to standard error goes to
+    /// Starts `stages`, which lie beside this program, on this configuration; as acquisition the program of its source, or
+    /// the one that it names. What they say comes as `events`, what they write to standard error goes to
     /// `standard_error`.
     ///
     /// # Errors
@@ -205,8 +214,9 @@ impl Children {
         let program = std::env::current_exe().map_err(ChildrenError::OwnFolder)?;
         let folder = program.parent().map(ToOwned::to_owned).unwrap_or_default();
         let mut children = Children {
+            acquisition: source_program(config, &folder),
+            is_named: config.acquisition.program.is_some(),
             folder,
-            acquisition: config.acquisition.program.clone(),
             config: SealedConfig::new(&config.to_toml()).map_err(ChildrenError::Configuration)?,
             events: events.clone(),
             robot: robot.clone(),
@@ -230,8 +240,8 @@ impl Children {
     }
 
     fn start_stage(&mut self, stage: Stage, is_restarted: bool) -> Result<(), ChildrenError> {
-        let program = match (&self.acquisition, stage) {
-            (Some(program), Stage::Acquisition) => program.clone(),
+        let program = match stage {
+            Stage::Acquisition => self.acquisition.clone(),
             _ => self.folder.join(format!("tendon-{}", stage.name())),
         };
         let mut process = Command::new(&program)
@@ -244,8 +254,8 @@ impl Children {
             // Ctrl-C is for the supervisor alone, which then stops the stages in their order.
             .process_group(0)
             .spawn()
-            .map_err(|source| match (&self.acquisition, stage) {
-                (Some(_), Stage::Acquisition) => ChildrenError::SourceRefused { program, source },
+            .map_err(|source| match stage {
+                Stage::Acquisition if self.is_named => ChildrenError::SourceRefused { program, source },
                 _ => ChildrenError::Start { program, source },
             })?;
         let pipes = (process.stdin.take(), process.stdout.take(), process.stderr.take());
@@ -454,6 +464,15 @@ mod tests {
     use std::os::unix::fs::PermissionsExt;
 
     use super::*;
+
+    #[test]
+    fn the_source_chooses_the_program_that_acquires_unless_one_is_named() {
+        let mut config = Config::default();
+        let folder = Path::new("/opt/tendon");
+        assert_eq!(source_program(&config, folder), folder.join("tendon-acquisition"));
+        config.acquisition.program = Some("/home/me/acquire".into());
+        assert_eq!(source_program(&config, folder), Path::new("/home/me/acquire"));
+    }
 
     #[test]
     fn the_program_of_a_source_must_be_there_and_executable() {

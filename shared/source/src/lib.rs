@@ -9,6 +9,7 @@
 //! A source owns its clock. It says what to wait for (a descriptor or a time), and each of its blocks says which
 //! sample comes first and when the newest one was captured, CLOCK_MONOTONIC. A device has no due times: it has a
 //! clock of its own, which [`DeviceClock`] maps to ours, and a counter of samples, whose gaps are lost samples.
+//! [`Offer`] says what an amplifier has, and which channels of it a session takes, in which unit.
 //! [`BlockAssembler`] makes blocks of the chunks that a device or a network delivers.
 //! [`Paced`] gives due times to what has no clock: the simulated person and recordings.
 //!
@@ -19,6 +20,7 @@
 mod acquire;
 mod assemble;
 mod clock;
+mod offer;
 mod paced;
 mod unit;
 
@@ -31,6 +33,7 @@ use tendon_messages::Truth;
 pub use acquire::{AcquireError, acquire, open_blocks};
 pub use assemble::{BlockAssembler, Chunk};
 pub use clock::DeviceClock;
+pub use offer::{Choice, Offer, OfferError, OfferedChannel};
 pub use paced::{BlockMaker, Pace, Paced};
 pub use unit::{UnitError, canonical_unit, unit_factor};
 

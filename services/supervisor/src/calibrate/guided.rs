@@ -47,7 +47,7 @@ pub struct GuidedOptions {
     /// Then ask for each gesture once more, and say how well it is recognised without the calibration and with it.
     #[arg(long, conflicts_with = "from")]
     check: bool,
-    /// Ask for this gesture alone, in place of what the newest recording has of it.
+    /// Ask for this gesture alone, in place of what the recording of the calibration has of it.
     #[arg(long, value_name = "GESTURE", conflicts_with_all = ["from", "gestures"])]
     redo: Option<Gesture>,
     /// Correct the person for a new day or electrodes that sit a little differently: a few seconds of rest and of each
@@ -85,21 +85,23 @@ pub fn calibrate(
     }
     let guide = guide_settings(options, &config, updated.as_ref()).map_err(Failure::input)?;
     let source = checks::source(&config).map_err(Failure::input)?;
-    let recorder = if is_redo {
-        Recorder::resume(&newest_recording(people, name).map_err(Failure::input)?)
+    let recording = if is_redo {
+        let folder = recording_to_redo(people, name).map_err(Failure::input)?;
+        let recorder = Recorder::resume(&folder).map_err(Failure::input)?;
+        check_fits(&recorder, &config).map_err(Failure::input)?;
+        Recording::Resumed(recorder)
     } else {
         let ending = if updated.is_some() { UPDATE } else { "" };
         let folder = recordings_of(people, name).join(file_name(&begun.started_at) + ending);
         let session = recorded_session(name, &config, &source, &begun).map_err(Failure::input)?;
-        Recorder::create(&folder, session)
+        Recording::New(folder, session)
     };
-    let recorder = recorder.map_err(Failure::input)?;
-    check_fits(&recorder, &config).map_err(Failure::input)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
     let updated = updated.as_ref();
     let calibration = Calibration { options, people, config: &config, guide, begun, updated };
-    let channels = recorder.session().channels.clone();
-    let learnt = with_source(&config, &channels, &errors, |live| calibration.follow(live, recorder, &errors));
+    let channels = recording.session().channels.clone();
+    let learnt =
+        with_source(&config, &channels, &errors, |live| calibration.follow(live, recording, &errors));
     errors.end_live();
     let _ = errors.finish(TERMINAL_TIMEOUT);
     match learnt? {
@@ -107,6 +109,30 @@ pub fn calibrate(
             report(options, &fitted, &file, check.as_ref(), begun, json)
         }
         None => Ok(()),
+    }
+}
+
+/// Where a calibration is recorded.
+enum Recording {
+    /// In this new folder.
+    New(PathBuf, RecordedSession),
+    /// Beside what was recorded before.
+    Resumed(Recorder),
+}
+
+impl Recording {
+    fn session(&self) -> &RecordedSession {
+        match self {
+            Recording::New(_, session) => session,
+            Recording::Resumed(recorder) => recorder.session(),
+        }
+    }
+
+    fn begin(self) -> Result<Recorder, Failure> {
+        match self {
+            Recording::New(folder, session) => Recorder::create(&folder, session).map_err(Failure::input),
+            Recording::Resumed(recorder) => Ok(recorder),
+        }
     }
 }
 
@@ -134,17 +160,26 @@ impl Calibration<'_> {
     fn follow(
         self,
         live: &mut Live<'_>,
-        mut recorder: Recorder,
+        recording: Recording,
         errors: &Writer,
     ) -> Result<Option<Learnt>, Failure> {
         let Calibration { options, people, config, .. } = self;
         let name = &options.name;
+        // A source that never gives a sample leaves no folder behind.
+        if live.wait_for_samples()? == RoundEnd::Stopped {
+            errors.say("stopped before the first sample: nothing was recorded");
+            return Ok(None);
+        }
+        let mut recorder = recording.begin()?;
         let folder = recorder.folder().to_owned();
         let mut guide = Guide::new(self.guide.clone(), config.acquisition.sample_rate_hz);
         let seconds = self.guide.duration_s();
         errors.say(format!("calibration of {name}: {seconds:.0} s, recorded in {}", folder.display()));
-        if live.round(&mut guide, &mut recorder)? == RoundEnd::Stopped {
-            errors.say(stopped(name, &folder, !recorder.trials().is_empty()));
+        let end = live.round(&mut guide, &mut recorder);
+        if !matches!(end, Ok(RoundEnd::Done)) {
+            errors.say(self.left_over(&recorder));
+        }
+        if end? == RoundEnd::Stopped {
             return Ok(None);
         }
         if let Some(gesture) = options.guided.redo {
@@ -162,14 +197,19 @@ impl Calibration<'_> {
         let fitted = fitted
             .with_context(|| format!("the recording stays in {}", folder.display()))
             .map_err(Failure::running)?;
+        let before = people.find(name).ok();
         if let Some(serious) = fitted.serious() {
+            // With somebody of this name, --redo is about their recording.
+            let remedy = if before.is_some() && options.guided.redo.is_none() {
+                format!("{name} stays as before; calibrate again with --replace")
+            } else {
+                format!("record one gesture again with `tendon calibrate {name} --redo GESTURE`")
+            };
             return Err(Failure::running(anyhow!(
-                "{name} is not kept: {serious}. The recording stays in {}: record one gesture again with `tendon calibrate \
-                 {name} --redo GESTURE`",
+                "{name} is not kept: {serious}. The recording stays in {}: {remedy}",
                 folder.display()
             )));
         }
-        let before = people.find(name).ok();
         if options.guided.redo.is_some() {
             check_gestures(before.as_ref(), &fitted.person, &folder).map_err(Failure::running)?;
         }
@@ -189,6 +229,19 @@ impl Calibration<'_> {
             None
         };
         Ok(Some(Learnt { fitted, file, check, begun }))
+    }
+
+    /// What is there of a calibration that did not come to its end, and how to go on with it.
+    fn left_over(&self, recorder: &Recorder) -> String {
+        let (name, folder) = (&self.options.name, recorder.folder().display());
+        if self.updated.is_some() {
+            return format!("{name} stays as before: update again");
+        }
+        if recorder.trials().is_empty() {
+            return format!("this was before the end of the first gesture; what was recorded is in {folder}");
+        }
+        let replace = if self.people.file_of(name).exists() { " --replace" } else { "" };
+        format!("what was recorded is kept; to fit it: tendon calibrate {name} --from {folder}{replace}")
     }
 }
 
@@ -306,7 +359,7 @@ fn recorded_session(
     // The source does not say what its channels are called; a table needs names that are no numbers.
     let channels = (0..acquisition.channels).map(|channel| format!("channel_{channel}")).collect();
     let mut session =
-        RecordedSession::new(name.as_str(), &begun.started_at, channels, acquisition.sample_rate_hz);
+        RecordedSession::new(name.id(), &begun.started_at, channels, acquisition.sample_rate_hz);
     session.source = source.to_owned();
     session.program_version = begun.version.clone();
     session.commit = begun.commit.clone();
@@ -349,6 +402,23 @@ fn file_name(time: &str) -> String {
     time.replace(':', "-")
 }
 
+/// The recording to which a gesture is added: the one that a person was fitted to; of somebody who was not kept, the newest.
+fn recording_to_redo(people: &People, name: &PersonName) -> anyhow::Result<PathBuf> {
+    if people.check_new(name).is_ok() {
+        return newest_recording(people, name);
+    }
+    let made = people.find(name)?.made;
+    match &made.recordings[..] {
+        // A person of an earlier version of Tendon.
+        [] => newest_recording(people, name),
+        [only] if RecordedSession::read(only.as_ref())?.is_some() => Ok(only.into()),
+        _ => Err(anyhow!(
+            "{name} was calibrated from {}, to which no gesture can be added: calibrate anew with --replace",
+            made.from
+        )),
+    }
+}
+
 /// The newest recording of a person. Their names sort by time.
 fn newest_recording(people: &People, name: &PersonName) -> anyhow::Result<PathBuf> {
     let folder = recordings_of(people, name);
@@ -359,15 +429,6 @@ fn newest_recording(people: &People, name: &PersonName) -> anyhow::Result<PathBu
     recordings.max().ok_or_else(|| {
         anyhow!("{name} has no recording in {}: calibrate first, without --redo", folder.display())
     })
-}
-
-fn stopped(name: &PersonName, folder: &Path, has_trials: bool) -> String {
-    let folder = folder.display();
-    if has_trials {
-        format!("stopped: what was recorded is kept; to fit it: tendon calibrate {name} --from {folder}")
-    } else {
-        format!("stopped before the first gesture; what was recorded is in {folder}")
-    }
 }
 
 /// Starts the source, lets `work` follow it, and stops it. Gives nothing if somebody said stop before.

@@ -79,6 +79,20 @@ impl<'a> Live<'a> {
         })
     }
 
+    /// Lets samples go by until the first have come.
+    ///
+    /// # Errors
+    ///
+    /// The source ended.
+    pub fn wait_for_samples(&mut self) -> Result<RoundEnd, Failure> {
+        while self.next_sample.is_none() {
+            if self.take(None)? == Heard::Stop {
+                return Ok(RoundEnd::Stopped);
+            }
+        }
+        Ok(RoundEnd::Done)
+    }
+
     /// Guides the person through a round and records it.
     ///
     /// # Errors
@@ -260,10 +274,7 @@ impl<'a> Live<'a> {
             round.tries = 0;
             return Ok(());
         }
-        let folder = round.recorder.folder().display();
-        Err(Failure::running(anyhow::anyhow!(
-            "{trouble}; this went on for {TRIES} tries. What was recorded is in {folder}"
-        )))
+        Err(Failure::running(anyhow::anyhow!("{trouble}; this went on for {TRIES} tries")))
     }
 
     fn tell_simulated(&mut self, gesture: Gesture, effort: f64) {

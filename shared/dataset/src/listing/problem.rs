@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use tendon_identity::PersonId;
 use tendon_recordings::labels::LabelsError;
 use tendon_recordings::{RecorderError, RecordingError};
 
@@ -101,6 +102,6 @@ pub enum ListingError {
     )]
     TooManyRepetitions {
         /// The person.
-        person: u16,
+        person: PersonId,
     },
 }

@@ -56,7 +56,7 @@ fn steps(decide: impl Fn(u64) -> Decided) -> Vec<Step> {
 
 fn scores_of(cues: &[CuePart], steps: &[Step]) -> StrategyScores {
     let mut tally = StrategyTally::new(RATE_HZ, INCREMENT, vec![Gesture::GRIP]);
-    tally.add(7, "train", 0, cues, steps);
+    tally.add(PersonId::Number(7), "train", 0, cues, steps);
     tally.scores()
 }
 
@@ -153,7 +153,7 @@ fn whatever_gesture_works_the_gripper_is_the_grip() {
     let steps = steps(|end| Decided { gesture: truth(end), toggles: end == 6000 || end == 10_050 });
     let scores = |gripper: Gesture| {
         let mut tally = StrategyTally::new(RATE_HZ, INCREMENT, vec![gripper]);
-        tally.add(7, "train", 0, &cues(), &steps);
+        tally.add(PersonId::Number(7), "train", 0, &cues(), &steps);
         tally.scores()
     };
     let (grip, ulnar) = (scores(Gesture::GRIP), scores(Gesture::ULNAR));

@@ -3,6 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
+use tendon_identity::NoPersonId;
+
 use super::COLUMNS;
 
 /// A place in a labels file that cannot be used, and what to do.
@@ -44,6 +46,9 @@ pub enum LabelsProblem {
     /// A label of no file.
     #[error("names no file: give its path relative to the folder of labels.csv")]
     NoFile,
+    /// A cell that names no person.
+    #[error("person: {0}")]
+    NoPerson(NoPersonId),
     /// A cell that is not a whole number, or too large.
     #[error("{column} = `{text}`: give a whole number of 0 to {largest}")]
     NotANumber {
@@ -64,20 +69,15 @@ pub enum LabelsProblem {
     },
     /// Labels of one file name two people or sessions.
     #[error(
-        "{file} is of person {person}, session {session} here, but of person {first_person}, session {first_session} \
-         in line {first_line}: a file is one person's, made in one session"
+        "{file} is of {origin} here, but of {first_origin} in line {first_line}: a file is one person's, made in one session"
     )]
     OtherOrigin {
         /// The file, as the line names it.
         file: String,
-        /// The person of this line.
-        person: u16,
-        /// The session of this line.
-        session: String,
-        /// The person of the first line that names the file.
-        first_person: u16,
-        /// The session of that line.
-        first_session: String,
+        /// Person and session of this line, in words.
+        origin: String,
+        /// Those of the first line that names the file.
+        first_origin: String,
         /// That line.
         first_line: u64,
     },
