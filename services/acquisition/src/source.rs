@@ -39,8 +39,9 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
             let (recording, description) = Recording::open(config)?;
             (Box::new(Paced::new(recording, pace, samples)), description)
         }
-        SourceKind::Device => bail!(
-            "acquisition.source = \"device\": this program reads no device; acquisition.program names the one that does"
+        other => bail!(
+            "acquisition.source = \"{}\": this program does not read it; `tendon run` starts the one that does",
+            other.name()
         ),
     })
 }

@@ -5,11 +5,14 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
+use tendon_delsys::DelsysSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
+use tendon_otb::OtbSettings;
 use tendon_people::Adaptation;
 use tendon_recordings::{Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary};
 use tendon_signal::SignalSettings;
+use tendon_stream::StreamSettings;
 use tendon_transport::{Delivery, SessionName};
 use tendon_zones::TaskSettings;
 
@@ -63,6 +66,12 @@ pub enum Source {
     Simulate,
     /// A recording.
     Replay,
+    /// An amplifier of OT Bioelettronica.
+    Otb,
+    /// Delsys Trigno, over the vendor's server.
+    Delsys,
+    /// Any program that sends samples over TCP.
+    Stream,
     /// A device, which the program `acquisition.program` reads.
     Device,
 }
@@ -73,6 +82,9 @@ impl Source {
         match self {
             Source::Simulate => "simulate",
             Source::Replay => "replay",
+            Source::Otb => "otb",
+            Source::Delsys => "delsys",
+            Source::Stream => "stream",
             Source::Device => "device",
         }
     }
@@ -82,6 +94,9 @@ impl Source {
     pub fn program(self) -> Option<&'static str> {
         match self {
             Source::Simulate | Source::Replay => Some("tendon-acquisition"),
+            Source::Otb => Some("tendon-acquire-otb"),
+            Source::Delsys => Some("tendon-acquire-delsys"),
+            Source::Stream => Some("tendon-acquire-stream"),
             Source::Device => None,
         }
     }
@@ -114,6 +129,12 @@ pub struct AcquisitionSettings {
     pub simulate: SimulateSettings,
     /// The recording to replay.
     pub replay: ReplaySettings,
+    /// The amplifier of OT Bioelettronica.
+    pub otb: OtbSettings,
+    /// The server of Delsys Trigno.
+    pub delsys: DelsysSettings,
+    /// Where programs that send samples connect.
+    pub stream: StreamSettings,
 }
 
 impl Default for AcquisitionSettings {
@@ -128,6 +149,9 @@ impl Default for AcquisitionSettings {
             unit: None,
             simulate: SimulateSettings::default(),
             replay: ReplaySettings::default(),
+            otb: OtbSettings::default(),
+            delsys: DelsysSettings::default(),
+            stream: StreamSettings::default(),
         }
     }
 }
@@ -546,7 +570,9 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_settings_file() {
-        for source in [Source::Simulate, Source::Replay, Source::Device] {
+        for source in
+            [Source::Simulate, Source::Replay, Source::Otb, Source::Delsys, Source::Stream, Source::Device]
+        {
             assert_eq!(toml::Value::try_from(source).unwrap().as_str(), Some(source.name()));
         }
         for backend in [Backend::Simulate, Backend::XArm] {
