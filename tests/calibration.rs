@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use nix::sys::signal::Signal;
+use nix::sys::signal::{Signal, kill};
 use tendon_emg_simulation::Profile;
 use tendon_gesture::Gesture;
 use tendon_report::Report;
@@ -113,7 +113,7 @@ fn a_calibration_that_is_broken_off_loses_nothing_and_can_be_fitted() {
 }
 
 #[test]
-fn a_new_calibration_may_have_other_gestures_but_a_redo_takes_none_away() {
+fn a_new_calibration_may_have_other_gestures_and_a_redo_adds_to_what_the_person_was_fitted_to() {
     let people = tempfile::tempdir().unwrap();
     let short = ["--rest", "2s", "--hold", "2s", "--pause", "1s"];
     let calibrate = |arguments: &[&str]| calibrate(people.path(), "stranger-22", arguments).args(&short);
@@ -121,6 +121,7 @@ fn a_new_calibration_may_have_other_gestures_but_a_redo_takes_none_away() {
     let replaced = calibrate(&["--replace", "--gestures", "flexion,ulnar"]).end();
     assert_done(&replaced);
     assert!(replaced.output.contains("anna: 3 gestures"), "{replaced:#?}");
+    assert!(people.path().join("tendon/people/anna/person.previous.toml").exists());
     let broken_off = calibrate(&["--replace", "--gestures", "flexion,ulnar"]).start();
     let newest = || {
         let folder = people.path().join("tendon/people/anna/recordings");
@@ -132,10 +133,17 @@ fn a_new_calibration_may_have_other_gestures_but_a_redo_takes_none_away() {
         let labels = std::fs::read_to_string(newest()?.join("labels.csv")).ok()?;
         labels.contains("flexion").then_some(())
     });
-    broken_off.signal(Signal::SIGTERM);
-    assert_done(&broken_off.end());
+    let broken_off_folder = newest().unwrap();
+    // Nobody else calibrates anna meanwhile.
+    calibrate(&["--replace"]).end().assert_failed(2, &["`anna` is being calibrated by another process"]);
+    kill(broken_off.stage("acquisition"), Signal::SIGKILL).unwrap();
+    let remedy = format!("tendon calibrate anna --from {} --replace", broken_off_folder.display());
+    broken_off.end().assert_failed(1, &["acquisition", &remedy]);
     let redone = calibrate(&["--redo", "flexion"]).end();
-    redone.assert_failed(1, &["anna stays as it was: ulnar is not in the recording", "--replace"]);
+    assert_done(&redone);
+    assert!(redone.output.contains("anna: 3 gestures"), "{redone:#?}");
+    let labels = std::fs::read_to_string(broken_off_folder.join("labels.csv")).unwrap();
+    assert!(!labels.contains("emg-2.csv"), "the redo was recorded elsewhere: {labels}");
 }
 
 #[test]
@@ -162,7 +170,13 @@ fn what_nobody_can_be_asked_is_refused_before_anything_is_recorded() {
     let refused = |arguments: &[&str], parts: &[&str]| {
         calibrate(people.path(), "stranger-22", arguments).end().assert_failed(2, parts);
     };
-    refused(&["--gestures", "extension,fist"], &["the simulated person cannot make it", "fist"]);
+    refused(
+        &["--gestures", "extension,fist"],
+        &[
+            "the simulated person cannot make all gestures",
+            "extension, fist; it makes rest, extension, flexion",
+        ],
+    );
     refused(&["--gestures", "grip,grip"], &["the gesture grip is named twice"]);
     refused(&["--hold", "100ms"], &["a gesture of 0.1 s"]);
     refused(&["--redo", "grip"], &["anna has no recording", "without --redo"]);

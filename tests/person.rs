@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use nix::sys::signal::{Signal, kill};
 use tendon_system_tests::recordings::write_three_dc;
 use tendon_system_tests::{Ended, TendonBuilder, unique_session};
 
@@ -115,4 +116,22 @@ fn a_name_is_taken_once_and_what_does_not_fit_is_refused_by_name() {
     run("anna", &[]).assert_failed(2, &["person.toml", "cut short"]);
     let listed = tendon(data, &["people"]).end();
     assert!(listed.output.contains("cut short"), "{}", listed.output);
+}
+
+#[test]
+fn a_session_does_not_go_on_with_a_person_file_that_was_replaced_meanwhile() {
+    let data = recorded();
+    let data = data.path();
+    assert_eq!(calibrate(data, "anna", &[]).exit_code, Some(0));
+    let session = unique_session();
+    let mut run =
+        TendonBuilder::command(&session, &["run", "--session", &session.to_string(), "--person", "anna"])
+            .env("XDG_DATA_HOME", data)
+            .args(&["--duration", "60s"])
+            .start();
+    run.wait_until_running();
+    let replaced = calibrate(data, "anna", &["--replace", "--channels", "1,2,3,4"]);
+    assert_eq!(replaced.exit_code, Some(0), "{replaced:#?}");
+    kill(run.stage("inference"), Signal::SIGKILL).unwrap();
+    run.end().assert_failed(1, &["person.toml", "not the person that the session began with"]);
 }

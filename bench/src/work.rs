@@ -148,7 +148,7 @@ fn inference() -> anyhow::Result<Work> {
     let mut stopwatch = Stopwatch::new();
     for number in 0..REPETITIONS as u64 / 10 {
         emg.fill_block(&mut performance, &mut window);
-        stopwatch.time(|| recogniser.recognise(black_box(&window), number).map(drop))?;
+        stopwatch.time(|| recogniser.recognise(black_box(&window), number, 0.0).map(drop))?;
     }
     Ok(stopwatch.work(Stage::Inference, "classify a window", Some(config.acquisition.channels)))
 }

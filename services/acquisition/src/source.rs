@@ -39,9 +39,9 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
             let (recording, description) = Recording::open(config)?;
             (Box::new(Paced::new(recording, pace, samples)), description)
         }
-        other => bail!(
-            "acquisition.source = \"{}\": this program does not read it; `tendon run` starts the one that does",
-            other.name()
+        amplifier => bail!(
+            "acquisition.source = \"{}\": this program reads no amplifier; another one does (acquisition.program)",
+            amplifier.name()
         ),
     })
 }

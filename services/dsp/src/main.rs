@@ -146,6 +146,7 @@ impl Output {
         let window_header = WindowHeader {
             trace,
             context,
+            novelty: window.novelty,
             channels: self.channels as u32,
             samples: self.window_samples as u32,
         };

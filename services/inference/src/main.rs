@@ -20,6 +20,9 @@ use tendon_transport::{Publisher, Received, Subscriber, now_ns};
 
 /// The filter has settled after this time, s.
 const SETTLED_S: f64 = 1.0;
+/// So long the signal may be that of movements from the beginning on, s; if no window was weaker by then, it is of another
+/// unit.
+const REST_COMES_S: f64 = 30.0;
 /// Windows classified before the session starts: the first runs allocate and fill caches.
 const WARM_UP_RUNS: usize = 20;
 /// How long before the next window's newest sample the rehearsal begins: a run on cold caches and one on warm
@@ -72,6 +75,8 @@ fn main() -> ExitCode {
             check: RestCheck::new(&rest_rms),
             unit: if unit.is_empty() { String::new() } else { format!(" (in {unit})") },
             settled_sample: (SETTLED_S * acquisition.sample_rate_hz) as u64,
+            wait_samples: (REST_COMES_S * acquisition.sample_rate_hz) as u64,
+            begun_sample: None,
         });
         let inference = Inference { recogniser, predictions, rehearsal, rest };
         process.connect(&windows)?;
@@ -85,29 +90,39 @@ struct Inference {
     predictions: Publisher<PredictionHeader, f32>,
     /// Only under SCHED_FIFO.
     rehearsal: Option<Rehearsal>,
-    /// Until the rest calibration is over; not if the recogniser does not say what its rest was.
+    /// Until it is clear whether the unit is the same; not if the recogniser does not say what its rest was.
     rest: Option<Rest>,
 }
 
-/// The first rest of the session, beside that which the recogniser learnt from.
+/// The rest at the beginning of the session, beside that which the recogniser learnt from.
 struct Rest {
     check: RestCheck,
     /// That of the recogniser, in brackets.
     unit: String,
     /// From this sample on, the filter has settled.
     settled_sample: u64,
+    /// Samples in which some rest will come.
+    wait_samples: u64,
+    /// First sample of the first window that was checked.
+    begun_sample: Option<u64>,
 }
 
 impl Rest {
-    /// Takes a window. Once the calibration is over, it says what differs, and there is nothing left to check.
+    /// Takes a window, and says what differs once that is sure. Returns whether it is still unsure: the rest calibration is
+    /// not over, or there was no rest yet.
     fn take(&mut self, window: &[f32], context: &WindowContext) -> bool {
+        if context.first_sample >= self.settled_sample && context.replaced_samples == 0 {
+            self.check.push(window);
+            self.begun_sample.get_or_insert(context.first_sample);
+        }
         if context.calibration_left_ms > 0 {
-            if context.first_sample >= self.settled_sample && context.replaced_samples == 0 {
-                self.check.push(window);
-            }
             return true;
         }
         if let Some(difference) = self.check.difference() {
+            let begun_sample = self.begun_sample.unwrap_or(context.first_sample);
+            if difference.is_stronger() && context.first_sample < begun_sample + self.wait_samples {
+                return true;
+            }
             tracing::warn!(
                 "at rest the signal is {difference} than in the recordings that the recogniser learnt from{}, so it will \
                  recognise little: give it the same unit and amplifier, or calibrate or train with this signal \
@@ -160,7 +175,7 @@ impl Consumer<WindowHeader, f32> for Inference {
             self.rest = None;
         }
         let Recognition { probabilities, efforts, novelty } =
-            self.recogniser.recognise(window.payload(), header.context.first_sample)?;
+            self.recogniser.recognise(window.payload(), header.context.first_sample, header.novelty)?;
         let prediction = PredictionHeader { trace, context: header.context, novelty };
         let published_ns = self.predictions.publish(prediction, 2 * probabilities.len(), |payload| {
             let (first, second) = payload.split_at_mut(probabilities.len());

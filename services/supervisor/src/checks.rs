@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use tendon_classifier::{Recogniser, RecogniserFiles, WindowSource};
 use tendon_config::{Config, Gestures, Source};
+use tendon_daqmx::Daqmx;
 use tendon_emg_simulation::Script;
 use tendon_gesture::Strategy;
 use tendon_messages::{
@@ -122,6 +123,10 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
             let first = &stream.source().segments()[0].file;
             let columns = summary.channels.join(", ");
             Ok(format!("{}, {:.1} s, columns {columns}", first.display(), summary.duration_s))
+        }
+        Source::Nidaqmx => {
+            let daqmx = Daqmx::load(acquisition.nidaqmx.library.as_deref())?;
+            Ok(format!("NI-DAQmx {}, {}", daqmx.version()?, acquisition.nidaqmx.channels))
         }
         Source::Otb => {
             let amplifier = acquisition.otb.amplifier(acquisition.sample_rate_hz)?;

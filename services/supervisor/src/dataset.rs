@@ -11,10 +11,10 @@ use tendon_dataset::{BuildSettings, DatasetSettings, Manifest, OnsetStatistics, 
 use tendon_identity::{PersonId, list_of};
 use tendon_output::OutputFolder;
 use tendon_provenance::Provenance;
-use tendon_recordings::Channel;
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
+use crate::channels::channels_or_default;
 use crate::options::{Base, WINDOW_KEYS, channel};
 use crate::output::{counted, print, tell};
 use crate::progress::Progress;
@@ -35,7 +35,7 @@ pub enum Command {
     /// * Your own: tables (.csv, .tsv, .txt; one line per sample, one column per channel) and a labels.csv in the same
     ///   folder with the header file,person,session,repetition,gesture,start_sample,end_sample. Needs
     ///   --recording-rate-hz. The session is optional, and so are start and end where the whole file is one trial.
-    ///   Gestures: rest, extension, flexion, ulnar, radial, grip.
+    ///   Gestures have any names of a-z, 0-9, - and _; rest is `rest`.
     ///
     /// Filter, windows and rate are those of the session: dsp.filter, dsp.windows and acquisition.sample_rate_hz of
     /// ./tendon.toml, --config and --set. With 50 Hz mains, for instance, --set dsp.filter.notch_hz=50.
@@ -55,8 +55,9 @@ pub struct BuildOptions {
     /// Folder for the data set: windows.npy, the arrays with each window's label and origin, and manifest.json.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Channels of the recordings, in the order the windows shall have.
-    #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
+    /// Channels of the recordings, in the order the windows shall have [default: all of what Tendon recorded and of tables
+    /// with at most four, otherwise 0,3,5,8].
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
     channels: Vec<usize>,
     /// Sampling rate of recordings that do not state it, Hz; required with labels.csv.
     #[arg(long, value_name = "HZ")]
@@ -119,8 +120,7 @@ impl BuildOptions {
         let Config { acquisition, dsp, .. } =
             self.base.configuration_of("tendon dataset build", &WINDOW_KEYS)?;
         let default = DatasetSettings::default();
-        Ok(DatasetSettings {
-            channels: self.channels.iter().copied().map(Channel::Index).collect(),
+        let settings = DatasetSettings {
             recording_rate_hz: self.recording_rate_hz,
             sample_rate_hz: self.sample_rate_hz.unwrap_or(acquisition.sample_rate_hz),
             filter: (!self.filtered).then_some(dsp.filter),
@@ -136,7 +136,10 @@ impl BuildOptions {
             },
             fallback_ms: self.fallback_ms,
             rest_start_ms: default.rest_start_ms,
-        })
+            channels: default.channels,
+        };
+        let channels = channels_or_default(&self.channels, &settings, &self.recordings)?;
+        Ok(DatasetSettings { channels, ..settings })
     }
 }
 

@@ -9,15 +9,16 @@ use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Serialize;
 use tendon_classifier::{Classifier, TrainedOn};
-use tendon_dataset::StoredDataset;
+use tendon_dataset::{DatasetSettings, StoredDataset};
 use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
 use tendon_figures::write_score_figures;
 use tendon_identity::PersonId;
-use tendon_output::{OutputFolder, check_distinct, collect};
+use tendon_output::{OutputFile, OutputFolder, check_distinct, collect};
 use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
 
 use crate::Failure;
+use crate::channels::channels_or_default;
 use crate::options::{Base, channel, seconds};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
@@ -64,9 +65,10 @@ pub struct Options {
     /// it has seen says nothing about a stranger.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<PersonId>,
-    /// Channels of the recordings, in the order the model expects [default: 0,3,5,8]. A data set has its own.
+    /// Channels of the recordings, in the order the model expects [default: all of what Tendon recorded and of tables with
+    /// at most four, otherwise 0,3,5,8]. A data set has its own.
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
-    channels: Option<Vec<usize>>,
+    channels: Vec<usize>,
     /// ONNX Runtime's shared library. By default ORT_DYLIB_PATH, then what scripts/fetch-onnxruntime fetched.
     #[arg(long, value_name = "FILE")]
     runtime_library: Option<PathBuf>,
@@ -76,13 +78,6 @@ pub struct Options {
     /// Draw the confusion matrix and a histogram of the time per window into this folder, as PNG and SVG.
     #[arg(long, value_name = "FOLDER")]
     figures: Option<PathBuf>,
-}
-
-impl Options {
-    /// Channels of the recordings.
-    fn channels(&self) -> Vec<usize> {
-        self.channels.clone().unwrap_or_else(|| vec![0, 3, 5, 8])
-    }
 }
 
 /// What `--json` writes.
@@ -100,6 +95,8 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let inputs = options.paths.iter().chain(&options.model).map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&json, &figures, inputs).map_err(Failure::input)?;
     let begun = Provenance::begin(PROGRAM);
+    // What recognises single people belongs to them.
+    let json = if options.model.is_some() { json } else { json.map(OutputFile::private) };
     if let Some(repetitions) = options.calibrate_repetitions {
         return people::evaluate(options, repetitions, json, figures, begun);
     }
@@ -113,15 +110,18 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let trained = classifier.contract().provenance.clone();
     let trained_on = classifier.contract().trained_on.clone();
     let mut works = Works::default();
+    let channels;
     let scored = match &options.paths[..] {
         [folder] if StoredDataset::is_one(folder) => {
-            check_channels(options, folder).map_err(Failure::input)?;
+            channels = check_channels(options, folder).map_err(Failure::input)?;
             let mut progress = |done, total| works.show(done, total, "windows", String::new);
             score_dataset(classifier, folder, &options.people, &mut progress)
         }
         paths => {
+            channels = channels_or_default(&options.channels, &DatasetSettings::default(), paths)
+                .map_err(Failure::input)?;
             let mut progress = |done, total| works.show(done, total, "recordings", String::new);
-            score_recordings(classifier, paths, &options.channels(), &options.people, &mut progress)
+            score_recordings(classifier, paths, &channels, &options.people, &mut progress)
         }
     };
     works.clear();
@@ -129,7 +129,7 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let people: Vec<PersonId> = scores.people.iter().copied().collect();
     let provenance = Provenance {
         trained_on_person: TrainedOn::any_includes([&trained_on], scores.data_set.as_deref(), &people),
-        ..provenance(options, model, begun).map_err(Failure::running)?
+        ..provenance(options, &channels, model, begun).map_err(Failure::running)?
     };
     // Neither a full disk nor a closed output keeps the others from being written.
     let content = ScoresWithProvenance { scores: &scores, provenance };
@@ -149,25 +149,30 @@ fn model(options: &Options) -> anyhow::Result<&Path> {
     options.model.as_deref().context("give a model with --model")
 }
 
-/// Refuses channels that are not those of the data set: its windows cannot be given others.
-fn check_channels(options: &Options, folder: &Path) -> anyhow::Result<()> {
-    let Some(channels) = &options.channels else { return Ok(()) };
-    let named: Vec<Channel> = channels.iter().copied().map(Channel::Index).collect();
+/// The channels of the data set. Refuses others: its windows cannot be given them.
+fn check_channels(options: &Options, folder: &Path) -> anyhow::Result<Vec<Channel>> {
+    let named: Vec<Channel> = options.channels.iter().copied().map(Channel::Index).collect();
     let dataset = StoredDataset::open(folder)?;
+    let own = dataset.manifest().settings.channels.clone();
     ensure!(
-        named == dataset.manifest().settings.channels,
+        named.is_empty() || named == own,
         "--channels is for recordings, but {} is a data set of other channels: leave --channels out",
         folder.display()
     );
-    Ok(())
+    Ok(own)
 }
 
 /// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
-fn provenance(options: &Options, model: &Path, begun: Provenance) -> anyhow::Result<Provenance> {
+fn provenance(
+    options: &Options,
+    channels: &[Channel],
+    model: &Path,
+    begun: Provenance,
+) -> anyhow::Result<Provenance> {
     if options.json.is_none() {
         return Ok(begun);
     }
-    let configuration = serde_json::json!({ "people": options.people, "channels": options.channels() });
+    let configuration = serde_json::json!({ "people": options.people, "channels": channels });
     let recordings: Vec<PathBuf> = options
         .paths
         .iter()

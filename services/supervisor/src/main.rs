@@ -9,6 +9,7 @@
 #![allow(clippy::print_stdout, reason = "this program's output is for people and pipes")]
 
 mod calibrate;
+mod channels;
 mod checks;
 mod dataset;
 mod doctor;

@@ -14,6 +14,7 @@ use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
 use tendon_people::Person;
+use tendon_recordings::Channel;
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
@@ -339,6 +340,31 @@ fn finish(mut config: Config) -> anyhow::Result<Config> {
     Ok(config)
 }
 
+/// Units that samples can be in, as the simulated amplifier and recordings spell them; `adc_counts` are the numbers of an
+/// analogue-to-digital converter.
+const UNITS: [&str; 4] = ["adc_counts", "uV", "mV", "V"];
+
+/// A unit of samples.
+///
+/// # Errors
+///
+/// When it is none.
+pub fn unit(text: &str) -> anyhow::Result<String> {
+    let known = UNITS.into_iter().find(|unit| *unit == text);
+    known.map(str::to_owned).ok_or_else(|| anyhow!("take one of {}", UNITS.join(", ")))
+}
+
+/// A channel by number, or by the name that the header of a table gives it.
+///
+/// # Errors
+///
+/// When there is nothing.
+pub fn named_channel(text: &str) -> anyhow::Result<Channel> {
+    let text = text.trim();
+    ensure!(!text.is_empty(), "name each channel, or give its number, from 0");
+    Ok(text.parse().map_or_else(|_| Channel::from(text), Channel::Index))
+}
+
 /// Number of a channel.
 ///
 /// # Errors
@@ -377,6 +403,15 @@ mod tests {
     fn a_channel_is_a_number_and_the_refusal_says_so() {
         assert_eq!(channel("0").unwrap(), 0);
         assert_eq!(format!("{:#}", channel("flexor").unwrap_err()), "channels are numbers here, from 0");
+    }
+
+    #[test]
+    fn a_unit_has_one_spelling_and_a_named_channel_may_have_a_number() {
+        assert_eq!(unit("mV").unwrap(), "mV");
+        assert_eq!(unit("MV").unwrap_err().to_string(), "take one of adc_counts, uV, mV, V");
+        assert_eq!(named_channel(" 3 ").unwrap(), Channel::Index(3));
+        assert_eq!(named_channel("flexor").unwrap(), Channel::from("flexor"));
+        named_channel("").unwrap_err();
     }
 
     #[test]

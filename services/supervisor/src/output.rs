@@ -71,6 +71,15 @@ pub fn checked(path: Option<&Path>) -> Result<Option<OutputFile>, Failure> {
     Ok(file)
 }
 
+/// The same for a file with what belongs to a person: nobody but its owner will read it.
+///
+/// # Errors
+///
+/// As [`checked`].
+pub fn checked_private(path: Option<&Path>) -> Result<Option<OutputFile>, Failure> {
+    Ok(checked(path)?.map(OutputFile::private))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -9,7 +9,7 @@ use tendon_output::collect;
 use tendon_people::{People, Person, PersonName};
 
 use crate::Failure;
-use crate::output::{checked, print};
+use crate::output::{checked_private, print};
 
 /// Command line of `tendon people`.
 #[derive(Debug, Args)]
@@ -44,7 +44,7 @@ struct Known {
 
 /// Lists the people.
 pub fn list(options: &Options) -> Result<(), Failure> {
-    let json = checked(options.json.as_deref())?;
+    let json = checked_private(options.json.as_deref())?;
     let people = People::open().map_err(Failure::input)?;
     let names = people.names().map_err(Failure::running)?;
     let entries: Vec<Entry> = names.into_iter().map(|name| entry(&people, name)).collect();

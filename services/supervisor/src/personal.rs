@@ -7,7 +7,7 @@ use anyhow::{Context, ensure};
 use tendon_config::{Config, Source};
 use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
-use tendon_gesture::{GestureSet, Strategy};
+use tendon_gesture::{Gesture, GestureSet, Strategy};
 use tendon_people::{People, Person, PersonName, SignalOffer};
 use tendon_process::SignalDescription;
 use tendon_recordings::{Channel, RecordedSession};
@@ -36,12 +36,12 @@ const LARGEST_PRIOR: u64 = 256 << 20;
 /// How recordings are cut into windows to calibrate on.
 pub fn dataset_settings(
     config: &Config,
-    channels: &[usize],
+    channels: &[Channel],
     recording_rate_hz: Option<f64>,
 ) -> DatasetSettings {
     let default = DatasetSettings::default();
     DatasetSettings {
-        channels: channels.iter().copied().map(Channel::Index).collect(),
+        channels: channels.to_vec(),
         recording_rate_hz,
         sample_rate_hz: config.acquisition.sample_rate_hz,
         filter: Some(config.dsp.filter.clone()),
@@ -57,7 +57,7 @@ pub fn dataset_settings(
 /// its beginning is learnt, too.
 pub fn calibration_settings(
     config: &Config,
-    channels: &[usize],
+    channels: &[Channel],
     recording_rate_hz: Option<f64>,
 ) -> DatasetSettings {
     let onset = DatasetSettings::default().onset;
@@ -93,6 +93,44 @@ pub fn personal_windows(config: Config, sets_windows: bool) -> Config {
 
 fn samples_of_ms(ms: f64, rate_hz: f64) -> usize {
     ((ms * 1e-3 * rate_hz).round() as usize).max(1)
+}
+
+/// Windows and the steps between them, in words.
+pub fn windows_in_words(windows: &WindowSettings, rate_hz: f64) -> String {
+    let ms = |samples: usize| (1e3 * samples as f64 / rate_hz).round();
+    format!("windows of {} ms every {} ms", ms(windows.window_samples), ms(windows.increment_samples))
+}
+
+/// How to ask for the windows of a person; nothing where these are such.
+pub fn how_to_get_personal_windows(windows: &WindowSettings, rate_hz: f64) -> String {
+    let window_samples = samples_of_ms(WINDOW_MS, rate_hz);
+    if windows.window_samples == window_samples {
+        return String::new();
+    }
+    format!(
+        " (tendon calibrate has {WINDOW_MS} ms; to get these: --set dsp.windows.window_samples={window_samples})"
+    )
+}
+
+/// Refuses gestures that the simulated person does not know. `whose` gestures they are.
+///
+/// # Errors
+///
+/// Both lists.
+pub fn check_simulated(config: &Config, whose: &str, gestures: &[Gesture]) -> anyhow::Result<()> {
+    let (emg, _) = config.acquisition.open_simulation()?;
+    let known = emg.gestures();
+    let names = |gestures: &mut dyn Iterator<Item = Gesture>| {
+        gestures.map(|gesture| gesture.to_string()).collect::<Vec<_>>().join(", ")
+    };
+    ensure!(
+        gestures.iter().all(|gesture| known.number(*gesture).is_some()),
+        "the simulated person cannot make all gestures of {whose}, which are {}; it makes {}: choose among these, or a \
+         profile with the others (acquisition.simulate.profile)",
+        names(&mut gestures.iter().copied()),
+        names(&mut known.iter())
+    );
+    Ok(())
 }
 
 /// Sets a session up for a person, who is named or whose file is: what the user left at its default becomes the person's.
@@ -176,10 +214,18 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
 /// Everything that differs, by name.
 pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Result<()> {
     let acquisition = &config.acquisition;
+    if is_simulated(config) {
+        let gestures: Vec<Gesture> = person.gesture_set().iter().collect();
+        check_simulated(config, person.name.as_str(), &gestures)?;
+    }
     let unit = match acquisition.source {
         Source::Simulate if acquisition.program.is_none() => acquisition.simulate.read_profile()?.unit,
         // Nobody knows it.
-        Source::Simulate | Source::Replay => String::new(),
+        Source::Simulate => String::new(),
+        Source::Replay => {
+            let recorded = acquisition.replay.path.as_deref().map_or(Ok(None), RecordedSession::beside)?;
+            recorded.map_or_else(String::new, |session| session.unit)
+        }
         _ => acquisition.unit.clone().unwrap_or_default(),
     };
     let names: Option<Vec<String>> = match acquisition.source {
@@ -226,6 +272,11 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
         differences.join("; ")
     );
     Ok(())
+}
+
+/// Whether the source is the simulated person that comes with Tendon.
+pub fn is_simulated(config: &Config) -> bool {
+    config.acquisition.source == Source::Simulate && config.acquisition.program.is_none()
 }
 
 /// Refuses a source that is ready with other channels, or another unit, than the person of this configuration was calibrated

@@ -4,13 +4,15 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::Args;
+use tendon_dataset::DatasetSettings;
 use tendon_evaluation::gather_cohort;
 use tendon_features::MethodSettings;
 use tendon_output::check_distinct;
 
 use crate::Failure;
+use crate::channels::channels_or_default;
 use crate::options::{Base, WINDOW_KEYS, channel};
-use crate::output::{checked, print};
+use crate::output::{checked_private, print};
 use crate::personal::{WINDOWS, dataset_settings, personal_windows};
 use crate::progress::Works;
 
@@ -20,8 +22,9 @@ pub struct Options {
     /// Recordings with cues, of several people.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,
-    /// Channels of the recordings. The prior serves people with as many channels at the same places.
-    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
+    /// Channels of the recordings [default: all of what Tendon recorded and of tables with at most four, otherwise 0,3,5,8].
+    /// The prior serves people with as many channels at the same places.
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
     channels: Vec<usize>,
     /// Sampling rate of recordings that do not state it, Hz.
     #[arg(long, value_name = "HZ")]
@@ -35,12 +38,14 @@ pub struct Options {
 
 /// Gathers a prior and writes it.
 pub fn gather(options: &Options) -> Result<(), Failure> {
-    let out = checked(Some(&options.out))?;
+    let out = checked_private(Some(&options.out))?;
     let inputs = options.recordings.iter().map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&out, [], inputs).map_err(Failure::input)?;
     let config = options.base.configuration_of("tendon prior", &WINDOW_KEYS).map_err(Failure::input)?;
     let config = personal_windows(config, options.base.sets(WINDOWS));
-    let settings = dataset_settings(&config, &options.channels, options.recording_rate_hz);
+    let settings = dataset_settings(&config, &[], options.recording_rate_hz);
+    let channels = channels_or_default(&options.channels, &settings, &options.recordings);
+    let settings = DatasetSettings { channels: channels.map_err(Failure::input)?, ..settings };
     let mut works = Works::default();
     let mut progress = |done, total| works.show(done, total, "people", String::new);
     let mut skipped = Vec::new();

@@ -23,6 +23,7 @@ use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_provenance::Provenance;
 
 use crate::Failure;
+use crate::channels::{channels_or_default, listed};
 use crate::options::{channel, check_keys, sets};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
@@ -47,8 +48,9 @@ pub struct Options {
     /// Score only these people, by number or name. By default, everybody whom none of the models was trained on.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<PersonId>,
-    /// Channels of the recordings, in the order the models expect.
-    #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
+    /// Channels of the recordings, in the order the models expect [default: all of what Tendon recorded and of tables with
+    /// at most four, otherwise 0,3,5,8].
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
     channels: Vec<usize>,
     /// Sampling rate of recordings that do not state it, Hz.
     #[arg(long, value_name = "HZ")]
@@ -167,10 +169,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     let begun = Provenance::begin(PROGRAM);
     let config = configuration(options).map_err(Failure::input)?;
     let mut pipelines = pipelines(options, &config).map_err(Failure::input)?;
-    let settings = DatasetSettings {
-        recording_rate_hz: options.recording_rate_hz,
-        ..dataset_settings(&pipeline_settings(&config, Strategy::Direct), &options.channels)
-    };
+    let settings = settings(options, &config).map_err(Failure::input)?;
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let (layout, data_set) = (found.layout, found.layout.data_set());
     let known: BTreeSet<PersonId> = found.recordings.iter().map(|recording| recording.person).collect();
@@ -188,7 +187,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     }
     let calibrated = match options.strategies() {
         (_, false) => People::uncalibrated(usable),
-        (_, true) => personal::calibrate(options, &config, layout, usable, &mut skipped)?,
+        (_, true) => personal::calibrate(options, &config, &settings.channels, layout, usable, &mut skipped)?,
     };
     let people: BTreeSet<PersonId> = calibrated.recordings.iter().map(PersonRecordings::person).collect();
     let scored: Vec<PersonId> = people.iter().copied().collect();
@@ -293,12 +292,24 @@ fn configuration(options: &Options) -> anyhow::Result<Config> {
     for assignment in &options.assignments {
         config = config.with(assignment)?;
     }
-    ensure!(
-        options.channels.len() == config.acquisition.channels,
-        "--channels names {} channels, acquisition.channels = {}: make them the same",
-        options.channels.len(),
-        config.acquisition.channels
-    );
     config.check()?;
     Ok(config)
+}
+
+/// How the recordings are cut.
+fn settings(options: &Options, config: &Config) -> anyhow::Result<DatasetSettings> {
+    let settings = DatasetSettings {
+        recording_rate_hz: options.recording_rate_hz,
+        ..dataset_settings(&pipeline_settings(config, Strategy::Direct), &[])
+    };
+    let channels = channels_or_default(&options.channels, &settings, &options.recordings)?;
+    ensure!(
+        channels.len() == config.acquisition.channels,
+        "{} channels of the recordings are taken ({}; --channels names others), acquisition.channels = {}: make them the \
+         same",
+        channels.len(),
+        listed(&channels),
+        config.acquisition.channels
+    );
+    Ok(DatasetSettings { channels, ..settings })
 }

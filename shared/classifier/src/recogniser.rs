@@ -6,6 +6,7 @@
 //!                                             └ move ─▶ five gestures ─▶ their probabilities; 0 for rest
 //! personal            window ─▶ person ─▶ probabilities, effort, novelty
 //! ```
+//! Whoever cut the window says how strange its channels are, which counts as novelty with models and people alike.
 
 use std::path::{Path, PathBuf};
 
@@ -317,8 +318,8 @@ impl Recogniser {
     }
 
     /// The probability of every gesture by class number, 0 for those that the model does not know; for a person also how
-    /// hard each gesture would be made (1 from a network), and how unlike the calibration the window is (0 from a
-    /// network). `first_sample` is the window's place in the stream. The window is read in place.
+    /// hard each gesture would be made (1 from a network). The novelty is that of the signal, as given, or of the person
+    /// if that is higher. `first_sample` is the window's place in the stream. The window is read in place.
     ///
     /// # Errors
     ///
@@ -327,11 +328,17 @@ impl Recogniser {
         &mut self,
         window: &[f32],
         first_sample: u64,
+        novelty: f32,
     ) -> Result<Recognition<'_>, ClassifierError> {
-        match &mut self.0 {
-            Kind::Networks(networks) => networks.recognise(window),
-            Kind::Person(of_person) => Ok(of_person.recogniser.recognise(window, first_sample)?),
+        let mut recognition = match &mut self.0 {
+            Kind::Networks(networks) => networks.recognise(window)?,
+            Kind::Person(of_person) => of_person.recogniser.recognise(window, first_sample)?,
+        };
+        // What is no number stays so, and is strange, too.
+        if novelty > recognition.novelty {
+            recognition.novelty = novelty;
         }
+        Ok(recognition)
     }
 
     /// Adapts to the window that was recognised last, where [adaptation](Self::with_adaptation) is on.

@@ -2,6 +2,13 @@
 //!
 //! A network that was trained on ADC counts and is shown millivolts takes everything for rest or noise, and nothing else
 //! tells: its inputs fit, and so do its outputs.
+//!
+//! ```text
+//! windows ─┬─ RMS of all of them     below a tenth of that of training?  weaker: a movement is never weaker than rest
+//!          └─ RMS of the quietest    above ten times that of training?   stronger: not even the quietest is rest
+//! ```
+//!
+//! So nobody has to rest while it is measured, as long as some window is rest.
 
 use std::fmt;
 
@@ -9,15 +16,18 @@ use std::fmt;
 /// it is half to two and a half times as strong.
 const ALIKE: f64 = 10.0;
 
-/// Measures rest and compares it with that of training. Allocates nothing once made.
+/// Compares the rest among some windows with that of training. Allocates nothing once made.
 #[derive(Clone, Debug)]
 pub struct RestCheck {
     /// RMS of each channel in training.
     trained_rms: Vec<f64>,
+    /// Sums over all windows, of each channel.
     squares: Vec<f64>,
     /// Measured over training, of each channel.
     ratios: Vec<f64>,
     samples: usize,
+    /// Median over the channels of the measured RMS over that of training, in the quietest window.
+    quietest: f64,
 }
 
 /// How much stronger or weaker rest is than in training.
@@ -25,6 +35,13 @@ pub struct RestCheck {
 pub struct RestDifference {
     /// Median over the channels of the RMS measured over that of training.
     pub factor: f64,
+}
+
+impl RestDifference {
+    /// Whether it is stronger, so far: a quieter window may still come.
+    pub fn is_stronger(self) -> bool {
+        self.factor > 1.0
+    }
 }
 
 impl fmt::Display for RestDifference {
@@ -39,19 +56,31 @@ impl RestCheck {
     /// Nothing measured yet; in training, rest had this RMS in each channel.
     pub fn new(trained_rms: &[f64]) -> RestCheck {
         let none = vec![0.0; trained_rms.len()];
-        RestCheck { trained_rms: trained_rms.to_vec(), squares: none.clone(), ratios: none, samples: 0 }
+        RestCheck {
+            trained_rms: trained_rms.to_vec(),
+            squares: none.clone(),
+            ratios: none,
+            samples: 0,
+            quietest: f64::INFINITY,
+        }
     }
 
-    /// Takes a window of rest, channel-major `[channels × samples]`.
+    /// Takes a window, channel-major `[channels × samples]`.
     pub fn push(&mut self, window: &[f32]) {
         let samples = window.len() / self.trained_rms.len().max(1);
-        for (squares, channel) in self.squares.iter_mut().zip(window.chunks_exact(samples.max(1))) {
-            *squares += channel.iter().map(|&sample| f64::from(sample) * f64::from(sample)).sum::<f64>();
+        let channels = window.chunks_exact(samples.max(1)).zip(&self.trained_rms);
+        let sums = self.squares.iter_mut().zip(&mut self.ratios);
+        for ((channel, trained), (sum, ratio)) in channels.zip(sums) {
+            let squares: f64 = channel.iter().map(|&sample| f64::from(sample) * f64::from(sample)).sum();
+            *sum += squares;
+            *ratio = (squares / samples as f64).sqrt() / trained;
         }
         self.samples += samples;
+        self.quietest = self.quietest.min(median(&mut self.ratios));
     }
 
-    /// How much stronger or weaker the rest so far is than in training; `None` if it is alike, or none was measured.
+    /// How much stronger or weaker rest is than in training, as far as the windows so far tell; `None` if it is alike, or
+    /// nothing was measured.
     pub fn difference(&mut self) -> Option<RestDifference> {
         if self.samples == 0 {
             return None;
@@ -60,10 +89,15 @@ impl RestCheck {
         for ((ratio, rms), trained) in self.ratios.iter_mut().zip(measured).zip(&self.trained_rms) {
             *ratio = rms / trained;
         }
-        self.ratios.sort_unstable_by(f64::total_cmp);
-        let factor = self.ratios[self.ratios.len() / 2];
+        let of_all = median(&mut self.ratios);
+        let factor = if of_all < 1.0 / ALIKE { of_all } else { self.quietest.max(1.0) };
         (!(1.0 / ALIKE..=ALIKE).contains(&factor)).then_some(RestDifference { factor })
     }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values[values.len() / 2]
 }
 
 #[cfg(test)]
@@ -92,5 +126,21 @@ mod tests {
             "20 times stronger"
         );
         assert_eq!(difference([3.0, 5.0, 4.0], [0.0; 3]).unwrap().to_string(), "much weaker");
+    }
+
+    #[test]
+    fn a_session_that_begins_with_a_movement_has_no_other_unit() {
+        let window = |value: f32| vec![value; 30];
+        let mut check = RestCheck::new(&[1.0; 3]);
+        (0..20).for_each(|_| check.push(&window(25.0)));
+        let so_far = check.difference().unwrap();
+        assert!(so_far.is_stronger(), "{so_far}");
+        check.push(&window(1.2));
+        assert_eq!(check.difference(), None, "the first rest says that the unit is the same");
+        // Movement among rest of a weaker unit makes it no stronger.
+        let mut check = RestCheck::new(&[1.0; 3]);
+        (0..20).for_each(|_| check.push(&window(0.001)));
+        (0..20).for_each(|_| check.push(&window(0.025)));
+        assert!(!check.difference().unwrap().is_stronger());
     }
 }

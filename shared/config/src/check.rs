@@ -80,6 +80,7 @@ impl Config {
             ("acquisition.program", &self.acquisition.program),
             ("acquisition.simulate.profile", &self.acquisition.simulate.profile),
             ("acquisition.replay.path", &self.acquisition.replay.path),
+            ("acquisition.nidaqmx.library", &self.acquisition.nidaqmx.library),
             ("inference.model", &self.inference.model),
             ("inference.rest_move_model", &self.inference.rest_move_model),
             ("inference.person", &self.inference.person),
@@ -162,6 +163,9 @@ impl Config {
                 return refuse("acquisition.replay.path", "(none)", remedy);
             }
             self.check_channels("acquisition.replay.channels", acquisition.replay.channels.as_deref())?;
+        }
+        if acquisition.source == Source::Nidaqmx {
+            acquisition.nidaqmx.check().map_err(section("acquisition.nidaqmx"))?;
         }
         if acquisition.source == Source::Otb {
             acquisition.otb.amplifier(acquisition.sample_rate_hz).map_err(section("acquisition.otb"))?;

@@ -31,6 +31,7 @@ impl Config {
         [
             &mut self.acquisition.program,
             &mut self.acquisition.replay.path,
+            &mut self.acquisition.nidaqmx.library,
             &mut self.inference.model,
             &mut self.inference.rest_move_model,
             &mut self.inference.person,
@@ -42,7 +43,7 @@ impl Config {
     }
 
     /// The configuration with one key changed, given as on the command line: `acquisition.channels=8`.
-    /// Anything that is not a TOML value counts as text.
+    /// Anything that is not a TOML value counts as text, and so do the items of a list: a shell takes their quotes away.
     ///
     /// # Errors
     ///
@@ -52,12 +53,13 @@ impl Config {
         let refused =
             |message: String| ConfigError::Assignment { assignment: assignment.to_owned(), message };
         let no_assignment = || refused("write KEY=VALUE, such as acquisition.channels=8".to_owned());
+        let no_table = |key: &str| {
+            refused(format!(
+                "`{key}` has no keys of its own: set it as a whole, or write it in a configuration file"
+            ))
+        };
         let (key, value) = assignment.split_once('=').ok_or_else(no_assignment)?;
-        let value = format!("value = {value}")
-            .parse::<toml::Table>()
-            .ok()
-            .and_then(|mut table| table.remove("value"))
-            .unwrap_or_else(|| toml::Value::String(value.to_owned()));
+        let value = value_of(value);
         self.check_paths()?;
         let mut root = toml::Table::try_from(self).expect("paths are UTF-8, all else TOML can say: tested");
         let mut table = &mut root;
@@ -71,7 +73,7 @@ impl Config {
                 .entry(key)
                 .or_insert_with(|| toml::Value::Table(toml::Table::new()))
                 .as_table_mut()
-                .ok_or_else(no_assignment)?;
+                .ok_or_else(|| no_table(key))?;
         }
         let text = toml::to_string(&root).map_err(|_| no_assignment())?;
         // Its line and column are of a text that nobody wrote.
@@ -102,8 +104,26 @@ impl Config {
     }
 }
 
+/// A value as it was typed.
+fn value_of(typed: &str) -> toml::Value {
+    let toml = format!("value = {typed}").parse::<toml::Table>().ok();
+    if let Some(value) = toml.and_then(|mut table| table.remove("value")) {
+        return value;
+    }
+    match typed.trim().strip_prefix('[').and_then(|typed| typed.strip_suffix(']')) {
+        // What looks like a table in it is none that can be read.
+        Some(items) if !items.contains(['[', '{']) => {
+            items.split(',').map(|item| value_of(item.trim())).collect::<Vec<toml::Value>>().into()
+        }
+        _ => typed.into(),
+    }
+}
+
 /// What is wrong with the one key that was set, in a line: with the nearest known one if there is one, else with all.
 fn without_place(message: &str) -> String {
+    if message.contains("expected a sequence") {
+        return format!("{}; write a list as KEY=[ITEM,ITEM]", message.trim_end());
+    }
     match suggestion(message) {
         near if near.is_empty() => message.trim_end().to_owned(),
         near => {
@@ -157,6 +177,7 @@ mod tests {
         config.acquisition.replay.sample_rate_hz = Some(1.0);
         config.acquisition.replay.channels = Some(vec![]);
         config.acquisition.replay.repetition = Some(0);
+        config.acquisition.nidaqmx.library = Some("x".into());
         config.inference.model = Some("x".into());
         config.inference.rest_move_model = Some("x".into());
         config.inference.person = Some("x".into());
@@ -249,6 +270,40 @@ mod tests {
             config.with("robot.backend=foo").unwrap_err().to_string(),
             "--set robot.backend=foo: unknown variant `foo`, expected `simulate` or `xarm`"
         );
+    }
+
+    #[test]
+    fn a_list_is_set_with_the_quotes_that_a_shell_takes_away_or_without() {
+        let gestures = ["rest", "fist", "point"].map(|name| name.parse().unwrap());
+        for list in ["[\"rest\",\"fist\",\"point\"]", "[rest, fist,point]"] {
+            let config = Config::default().with(&format!("decision.gestures={list}")).unwrap();
+            assert!(config.decision.gestures.iter().eq(gestures), "{list}");
+        }
+        let config = Config::default().with("acquisition.replay.channels=[2,flexor]").unwrap();
+        let channels = vec![Channel::Index(2), Channel::Name("flexor".into())];
+        assert_eq!(config.acquisition.replay.channels, Some(channels));
+        let config = config.with("dsp.filter.band_pass_hz=[20, 450]").unwrap();
+        assert_eq!(config.dsp.filter.band_pass_hz, [20.0, 450.0]);
+        for (assignment, expected) in [
+            ("decision.gestures=rest,fist", "write a list as KEY=[ITEM,ITEM]"),
+            ("decision.modes.name=a", "`modes` has no keys of its own"),
+        ] {
+            let error = config.with(assignment).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_error_in_the_second_mode_is_shown_where_it_is() {
+        let first = "[[decision.modes]]\nname = \"a\"\ngrip = \"gripper\"\n";
+        for line in
+            ["ulnar = \"up\"", "ulnar = 3", "ulnar = { motion = \"+z\", sped = 1.0 }", "Ulnar = \"+y\""]
+        {
+            let error = parse(&format!("{first}[[decision.modes]]\nname = \"b\"\n{line}\n")).unwrap_err();
+            assert!(error.contains("line 6"), "{error}");
+        }
+        let nameless = parse(&format!("{first}[[decision.modes]]\nulnar = \"+y\"\n")).unwrap_err();
+        assert!(nameless.contains("line 4") && nameless.contains("missing field `name`"), "{nameless}");
     }
 
     #[test]

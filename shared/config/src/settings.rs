@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
+use tendon_daqmx::NidaqmxSettings;
 use tendon_delsys::DelsysSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
@@ -66,6 +67,8 @@ pub enum Source {
     Simulate,
     /// A recording.
     Replay,
+    /// An NI device, through NI-DAQmx.
+    Nidaqmx,
     /// An amplifier of OT Bioelettronica.
     Otb,
     /// Delsys Trigno, over the vendor's server.
@@ -82,6 +85,7 @@ impl Source {
         match self {
             Source::Simulate => "simulate",
             Source::Replay => "replay",
+            Source::Nidaqmx => "nidaqmx",
             Source::Otb => "otb",
             Source::Delsys => "delsys",
             Source::Stream => "stream",
@@ -94,6 +98,7 @@ impl Source {
     pub fn program(self) -> Option<&'static str> {
         match self {
             Source::Simulate | Source::Replay => Some("tendon-acquisition"),
+            Source::Nidaqmx => Some("tendon-acquire-daqmx"),
             Source::Otb => Some("tendon-acquire-otb"),
             Source::Delsys => Some("tendon-acquire-delsys"),
             Source::Stream => Some("tendon-acquire-stream"),
@@ -129,6 +134,8 @@ pub struct AcquisitionSettings {
     pub simulate: SimulateSettings,
     /// The recording to replay.
     pub replay: ReplaySettings,
+    /// The NI device.
+    pub nidaqmx: NidaqmxSettings,
     /// The amplifier of OT Bioelettronica.
     pub otb: OtbSettings,
     /// The server of Delsys Trigno.
@@ -149,6 +156,7 @@ impl Default for AcquisitionSettings {
             unit: None,
             simulate: SimulateSettings::default(),
             replay: ReplaySettings::default(),
+            nidaqmx: NidaqmxSettings::default(),
             otb: OtbSettings::default(),
             delsys: DelsysSettings::default(),
             stream: StreamSettings::default(),
@@ -570,9 +578,15 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_settings_file() {
-        for source in
-            [Source::Simulate, Source::Replay, Source::Otb, Source::Delsys, Source::Stream, Source::Device]
-        {
+        for source in [
+            Source::Simulate,
+            Source::Replay,
+            Source::Nidaqmx,
+            Source::Otb,
+            Source::Delsys,
+            Source::Stream,
+            Source::Device,
+        ] {
             assert_eq!(toml::Value::try_from(source).unwrap().as_str(), Some(source.name()));
         }
         for backend in [Backend::Simulate, Backend::XArm] {

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use tendon_identity::PersonId;
 use tendon_recordings::{
-    RecordingError, RecordingSettings, RecordingSource, ReplayStream, Segment, SkippedEntry, ozdemir,
-    three_dc,
+    Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Segment, SkippedEntry,
+    ozdemir, three_dc,
 };
 
 use crate::settings::DatasetSettings;
@@ -55,6 +55,25 @@ impl Recording {
                 RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)
             }
         }
+    }
+
+    /// The channels of its first file, chosen or not: by name where it gives one, else by number from 0.
+    ///
+    /// # Errors
+    /// When it cannot be opened.
+    pub fn file_channels(&self, settings: &DatasetSettings) -> Result<Vec<Channel>, RecordingError> {
+        let with = |channels: Vec<Channel>| self.open(&DatasetSettings { channels, ..settings.clone() });
+        let count = with(vec![Channel::Index(0)])?.file_channels();
+        let names = with((0..count).map(Channel::Index).collect())?.chosen();
+        let channel = |(index, name): (usize, &String)| {
+            let is_unique = names.iter().filter(|other| *other == name).count() == 1;
+            if is_unique && *name != index.to_string() {
+                Channel::Name(name.clone())
+            } else {
+                Channel::Index(index)
+            }
+        };
+        Ok(names.iter().enumerate().map(channel).collect())
     }
 
     /// Opens it to be replayed in blocks of `block_samples`, at the rate of `settings` and with its channels.

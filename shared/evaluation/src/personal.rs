@@ -210,7 +210,13 @@ pub fn score_people(
     let mut scored = Scored::default();
     for (done, &number) in chosen.iter().enumerate() {
         on_progress(read_before + done, read_before + chosen.len());
+        let skipped_before = skipped.len();
         let windows = PersonWindows::read(dataset, &found.people[&number], &mut skipped);
+        if windows.origins().is_empty() {
+            let reason = skipped.get(skipped_before).map_or("there are no trials", String::as_str);
+            skipped.push(format!("person {number}: no recording holds a window that can be used: {reason}"));
+            continue;
+        }
         let prior = prior_without(cohort, found.layout, number)?;
         if let Err(error) = scored.person(number, &windows, settings, prior.as_ref()) {
             skipped.push(format!("person {number}: {error}"));
@@ -219,7 +225,10 @@ pub fn score_people(
     scored.finish(ScoredOn {
         paths,
         layout: found.layout,
-        calibrated_on: format!("the first {repetitions} repetitions of each person's first session"),
+        calibrated_on: match repetitions {
+            1 => "the first repetition of each person's first session".to_owned(),
+            _ => format!("the first {repetitions} repetitions of each person's first session"),
+        },
         prior_from,
         skipped,
     })

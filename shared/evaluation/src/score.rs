@@ -160,7 +160,7 @@ pub fn score_dataset(
 pub fn score_recordings(
     classifier: Classifier,
     paths: &[PathBuf],
-    channels: &[usize],
+    channels: &[Channel],
     wanted: &[PersonId],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(Scores, Tally), ScoreError> {
@@ -201,9 +201,9 @@ pub fn score_recordings(
 
 /// How recordings are cut for a model: as `tendon dataset build` does by default, with the model's filter, rate and
 /// window.
-fn settings_of(contract: &Contract, channels: &[usize]) -> DatasetSettings {
+fn settings_of(contract: &Contract, channels: &[Channel]) -> DatasetSettings {
     DatasetSettings {
-        channels: channels.iter().copied().map(Channel::Index).collect(),
+        channels: channels.to_vec(),
         sample_rate_hz: contract.sample_rate_hz,
         filter: contract.filters.first().cloned(),
         input: contract.input,

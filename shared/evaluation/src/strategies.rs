@@ -53,9 +53,9 @@ impl StrategyModels {
 }
 
 /// How recordings are read, and their trials cut, for a pipeline with these settings.
-pub fn dataset_settings(pipeline: &PipelineSettings, channels: &[usize]) -> DatasetSettings {
+pub fn dataset_settings(pipeline: &PipelineSettings, channels: &[Channel]) -> DatasetSettings {
     DatasetSettings {
-        channels: channels.iter().copied().map(Channel::Index).collect(),
+        channels: channels.to_vec(),
         sample_rate_hz: pipeline.sample_rate_hz,
         filter: Some(pipeline.signal.filter.clone()),
         windows: pipeline.signal.windows.clone(),

@@ -14,6 +14,7 @@ use tendon_evaluation::{
 use tendon_features::MethodSettings;
 use tendon_gesture::{DecisionSettings, Gesture, Strategy};
 use tendon_pipeline::PipelineSettings;
+use tendon_recordings::Channel;
 use tendon_signal::{FilterSettings, OnsetMethod, OnsetSettings, SignalSettings, WindowSettings};
 
 const RATE_HZ: f64 = 1000.0;
@@ -37,7 +38,7 @@ fn pipeline_settings() -> PipelineSettings {
 fn settings() -> DatasetSettings {
     DatasetSettings {
         recording_rate_hz: Some(RATE_HZ),
-        ..dataset_settings(&pipeline_settings(), &[0, 1, 2, 3])
+        ..dataset_settings(&pipeline_settings(), &[0, 1, 2, 3].map(Channel::Index))
     }
 }
 

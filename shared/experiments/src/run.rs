@@ -18,6 +18,7 @@ use tendon_identity::PersonId;
 use tendon_output::{OutputFile, OutputFolder, collect};
 use tendon_pipeline::PipelineSettings;
 use tendon_provenance::Provenance;
+use tendon_recordings::Channel;
 use tendon_report::Report;
 use tendon_signal::{FilterSettings, SignalSettings};
 
@@ -318,7 +319,8 @@ impl Run<'_> {
             signal: SignalSettings { filter, ..SignalSettings::default() },
             decision: DecisionSettings::default(),
         };
-        let settings = tendon_evaluation::dataset_settings(&pipeline_settings, &self.source.channels);
+        let channels: Vec<Channel> = self.source.channels.iter().copied().map(Channel::Index).collect();
+        let settings = tendon_evaluation::dataset_settings(&pipeline_settings, &channels);
         let test_people: BTreeSet<PersonId> = self.source.test_people.iter().copied().collect();
         let found = list(&settings, from_ref(&self.source.recordings))?;
         let recordings: Vec<Recording> = found

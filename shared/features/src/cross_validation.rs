@@ -120,10 +120,11 @@ impl CrossValidation {
         (0.5 * (low + high)).exp().clamp(coldest, hottest)
     }
 
-    /// Windows by class made (row) and class recognised (column).
-    pub fn confusion(&self) -> Vec<Vec<usize>> {
+    /// Windows by class made (row) and class recognised (column), of those for which `counts` holds.
+    pub fn confusion(&self, counts: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
         let mut confusion = vec![vec![0; self.class_count]; self.class_count];
-        for (scores, &label) in self.scores.chunks_exact(self.class_count).zip(&self.labels) {
+        let windows = self.scores.chunks_exact(self.class_count).zip(&self.labels).enumerate();
+        for (_, (scores, &label)) in windows.filter(|(window, _)| counts(*window)) {
             let best = (0..self.class_count).max_by(|&a, &b| scores[a].total_cmp(&scores[b])).unwrap_or(0);
             confusion[label][best] += 1;
         }

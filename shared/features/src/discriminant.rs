@@ -31,6 +31,9 @@ pub use adaptation::SlowAdaptation;
 /// common step better than that of each class.
 const OWN_STEP: f64 = 0.5;
 
+/// Largest value of a fitted discriminant, far beyond what any signal makes, but so small that sums of products stay finite.
+const LARGEST_VALUE: f64 = 1e30;
+
 /// Tells the gestures of one person apart. Allocates in [`fit`](Self::fit) only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Unchecked")]
@@ -313,15 +316,29 @@ impl Discriminant {
         if self.classes.is_empty() || self.feature_count == 0 {
             return Err(FitError::TooFewClasses(self.classes.len()));
         }
-        if !(self.temperature > 0.0 && self.temperature.is_finite()) {
+        if !(self.temperature > 0.0 && is_usual(&self.temperature)) {
             return Err(FitError::Temperature(self.temperature));
         }
-        let values = [&self.weights, &self.biases, &self.factor, &self.whitened_means];
-        if values.iter().all(|values| values.iter().all(|value| value.is_finite())) {
-            Ok(self)
-        } else {
-            Err(FitError::Singular)
+        let values = [
+            ("weights", &self.weights),
+            ("biases", &self.biases),
+            ("factor", &self.factor),
+            ("whitened_means", &self.whitened_means),
+        ];
+        for (what, values) in values {
+            if let Some(&value) = values.iter().find(|value| !is_usual(value)) {
+                return Err(FitError::Value { what, value });
+            }
         }
+        let mut diagonal = 0;
+        for row in 0..self.feature_count {
+            diagonal += row;
+            let value = self.factor[diagonal + row];
+            if value < 1.0 / LARGEST_VALUE {
+                return Err(FitError::Value { what: "factor", value });
+            }
+        }
+        Ok(self)
     }
 }
 
@@ -412,6 +429,11 @@ fn bias_of(mean: &[f64], middle: &[f64]) -> f64 {
     let apart = || mean.iter().zip(middle).map(|(mean, middle)| mean - middle);
     let along: f64 = apart().zip(middle).map(|(apart, middle)| apart * middle).sum();
     -along - 0.5 * apart().map(|apart| apart * apart).sum::<f64>()
+}
+
+/// Whether it is a number of a size that fitting can give. NaN is none.
+fn is_usual(value: &f64) -> bool {
+    value.abs() <= LARGEST_VALUE
 }
 
 fn check_length(what: &'static str, given: usize, needed: usize) -> Result<(), FitError> {

@@ -82,6 +82,14 @@ pub enum FitError {
         /// Its weight.
         weight: f64,
     },
+    /// A number of a fitted discriminant that no fit gives.
+    #[error("{what}: {value} is no number that a calibration can give")]
+    Value {
+        /// Which numbers.
+        what: &'static str,
+        /// The value.
+        value: f64,
+    },
     /// A class has too few windows.
     #[error(
         "{class} has {windows} windows for calibration, and at least {needed} are needed: record this gesture again"

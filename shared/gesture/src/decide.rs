@@ -26,7 +26,7 @@ pub struct Evidence<'a> {
     pub probabilities: &'a [f32],
     /// How hard the contraction is if it is that gesture, by class number: 0 at rest, 1 at a comfortable contraction or above.
     pub efforts: &'a [f32],
-    /// How unlike all gestures of the calibration the window is: above 1, it is none of them. 0 from a model that does not tell.
+    /// How strange the window is: above 1, it is unlike all gestures of the calibration, or an electrode is off.
     pub novelty: f32,
     /// The activity detector says that the muscles are active.
     pub moving: bool,
@@ -94,7 +94,7 @@ impl Decider {
             },
             Strategy::Threshold | Strategy::TwoStage | Strategy::Direct => {
                 let voted = self.votes.cast(&self.settings.gestures, gesture);
-                (voted, is_usable(evidence).then_some(gesture))
+                (voted, self.is_usable(evidence).then_some(gesture))
             }
         };
         let press = self.press(held, evidence.captured_ns);
@@ -143,15 +143,23 @@ impl Decider {
 
     /// What the windows so far say together. A damaged window says nothing: the evidence begins anew after it.
     fn believe(&mut self, evidence: &Evidence<'_>) -> Belief {
-        if !is_usable(evidence) {
+        if !self.is_usable(evidence) {
             self.believer = Believer::new(self.settings.evidence);
             return Belief::Unsure;
         }
         self.believer.take(&self.settings.gestures, evidence)
     }
 
+    /// Whether a window can say anything. With a person, a strange one is weighed among the others.
+    fn is_usable(&self, evidence: &Evidence<'_>) -> bool {
+        let is_known = self.settings.strategy == Strategy::Personal || evidence.novelty <= 1.0;
+        is_known
+            && evidence.intact
+            && evidence.probabilities.iter().all(|probability| probability.is_finite())
+    }
+
     fn recognise(&self, evidence: &Evidence<'_>) -> (Gesture, f32) {
-        if !is_usable(evidence) {
+        if !self.is_usable(evidence) {
             return (Gesture::REST, 1.0);
         }
         let first_candidate = match self.settings.strategy {
@@ -204,11 +212,6 @@ impl Decider {
             }
         }
     }
-}
-
-/// Whether a window can say anything.
-fn is_usable(evidence: &Evidence<'_>) -> bool {
-    evidence.intact && evidence.probabilities.iter().all(|probability| probability.is_finite())
 }
 
 #[cfg(test)]
@@ -317,14 +320,17 @@ mod tests {
     }
 
     #[test]
-    fn damaged_windows_hold_the_arm_still_and_are_no_rest_of_the_person() {
-        for (probabilities, intact) in [(certain(Gesture::ULNAR), false), ([f32::NAN; 6], true)] {
+    fn damaged_and_strange_windows_hold_the_arm_still_and_are_no_rest_of_the_person() {
+        let ulnar = certain(Gesture::ULNAR);
+        for (probabilities, intact, novelty) in
+            [(ulnar, false, 0.0), ([f32::NAN; 6], true, 0.0), (ulnar, true, 1.1), (ulnar, true, f32::NAN)]
+        {
             let mut decider = Decider::new(&DecisionSettings::default()).unwrap();
             for _ in 0..5 {
                 let evidence = Evidence {
                     probabilities: &probabilities,
                     efforts: &[1.0; 6],
-                    novelty: 0.0,
+                    novelty,
                     moving: true,
                     intact,
                     captured_ns: 0,

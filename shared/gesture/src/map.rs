@@ -15,7 +15,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{self, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::{Gesture, GestureSet};
 
@@ -143,11 +145,38 @@ pub enum Action {
 }
 
 /// An action as it stands in a configuration.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 enum ActionInFile {
     Name(String),
     Motion(MotionInFile),
+}
+
+/// By hand, because serde says of a value that fits no variant neither what is wrong with it nor where it stands.
+impl<'de> Deserialize<'de> for ActionInFile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<ActionInFile, D::Error> {
+        struct WordOrTable;
+
+        impl<'de> Visitor<'de> for WordOrTable {
+            type Value = ActionInFile;
+
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str(
+                    "an action, such as \"+z\", \"gripper\" or { motion = \"+z\", frame = \"tool\" }",
+                )
+            }
+
+            fn visit_str<E: de::Error>(self, name: &str) -> Result<ActionInFile, E> {
+                Ok(ActionInFile::Name(name.to_owned()))
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, table: A) -> Result<ActionInFile, A::Error> {
+                Ok(ActionInFile::Motion(MotionInFile::deserialize(MapAccessDeserializer::new(table))?))
+            }
+        }
+
+        deserializer.deserialize_any(WordOrTable)
+    }
 }
 
 /// The frame where none is named.
@@ -254,7 +283,7 @@ impl From<Action> for ActionInFile {
 }
 
 /// What each gesture does, until the mode changes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Mode {
     /// Shown while it is on: `y-z`, `wrist`.
     pub name: String,
@@ -267,6 +296,50 @@ impl Mode {
     /// Leaves out what gestures do that are not among these.
     pub fn keep(&mut self, gestures: &GestureSet) {
         self.actions.retain(|gesture, _| gestures.number(*gesture).is_some());
+    }
+}
+
+/// A key of a mode's table.
+#[derive(Deserialize)]
+#[serde(try_from = "String")]
+enum ModeKey {
+    Name,
+    Gesture(Gesture),
+}
+
+impl TryFrom<String> for ModeKey {
+    type Error = <Gesture as TryFrom<String>>::Error;
+
+    fn try_from(key: String) -> Result<ModeKey, Self::Error> {
+        if key == "name" { Ok(ModeKey::Name) } else { Gesture::try_from(key).map(ModeKey::Gesture) }
+    }
+}
+
+/// By hand, because serde forgets the lines of what it flattens: an error in the second mode would be shown in the first.
+impl<'de> Deserialize<'de> for Mode {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Mode, D::Error> {
+        struct Table;
+
+        impl<'de> Visitor<'de> for Table {
+            type Value = Mode;
+
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str("a table with a name and what gestures do")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut table: A) -> Result<Mode, A::Error> {
+                let (mut name, mut actions) = (None, BTreeMap::new());
+                while let Some(key) = table.next_key()? {
+                    match key {
+                        ModeKey::Name => name = Some(table.next_value()?),
+                        ModeKey::Gesture(gesture) => drop(actions.insert(gesture, table.next_value()?)),
+                    }
+                }
+                Ok(Mode { name: name.ok_or_else(|| de::Error::missing_field("name"))?, actions })
+            }
+        }
+
+        deserializer.deserialize_map(Table)
     }
 }
 
@@ -296,8 +369,8 @@ pub enum InvalidModes {
     /// None, or too many.
     #[error("modes: {0} of them; take 1 to 8")]
     Count(usize),
-    /// A mode without a name, or with a long one.
-    #[error("modes: the name `{0}`; take 1 to 16 characters")]
+    /// A mode without a name, with a long one, or with one that would disturb a terminal.
+    #[error("modes: the name `{}`; take 1 to 16 characters that can be shown", .0.escape_debug())]
     Name(String),
     /// Two of one name.
     #[error("modes: two have the name `{0}`; give each its own")]
@@ -356,7 +429,7 @@ pub(crate) fn check_modes(
         return Err(InvalidModes::Count(modes.len()));
     }
     for (place, mode) in modes.iter().enumerate() {
-        if !(1..=16).contains(&mode.name.chars().count()) {
+        if !(1..=16).contains(&mode.name.chars().count()) || mode.name.chars().any(char::is_control) {
             return Err(InvalidModes::Name(mode.name.clone()));
         }
         if modes[..place].iter().any(|other| other.name == mode.name) {
@@ -441,6 +514,8 @@ mod tests {
             ("{ motion = \"+z\", frame = \"flange\" }", "`flange` is no frame: take base or tool"),
             ("{ motion = \"+z\", speed_deg_per_s = 5.0 }", "+z has its speed in speed_mm_per_s"),
             ("{ motion = \"+yaw\", speed_mm_per_s = 5.0 }", "+yaw has its speed in speed_deg_per_s"),
+            ("{ motion = \"+z\", sped = 5.0 }", "unknown field `sped`"),
+            ("5", "invalid type: integer `5`, expected an action, such as"),
         ] {
             let message = modes(&format!("[[modes]]\nname = \"a\"\ngrip = {action}\n")).unwrap_err();
             assert!(message.contains(part), "{action}: {message}");
@@ -460,6 +535,10 @@ mod tests {
         for (text, part) in [
             ("modes = []", "0 of them; take 1 to 8"),
             ("[[modes]]\nname = \"\"\n", "take 1 to 16 characters"),
+            (
+                "[[modes]]\nname = \"a\\u001b[2J\"\n",
+                "the name `a\\u{1b}[2J`; take 1 to 16 characters that can be shown",
+            ),
             (
                 "[[modes]]\nname = \"a\"\nfist = \"+z\"\n",
                 "the session has no gesture `fist`; its gestures are rest,",

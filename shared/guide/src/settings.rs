@@ -6,6 +6,8 @@ use tendon_gesture::Gesture;
 const SHORTEST_S: f64 = 1.0;
 /// Longest, s.
 const LONGEST_S: f64 = 120.0;
+/// What messages call it.
+const REST: &str = "rest at the beginning";
 /// Most gestures besides rest.
 const MOST_GESTURES: usize = 12;
 /// Most repetitions of a gesture.
@@ -67,7 +69,7 @@ impl GuideSettings {
     ///
     /// The first setting that is out of its range.
     pub fn check(&self) -> Result<(), InvalidGuide> {
-        let GuideSettings { gestures, repetitions, rest_s, hold_s, pause_s } = self;
+        let GuideSettings { gestures, repetitions, .. } = self;
         if !(1..=MOST_GESTURES).contains(&gestures.len()) {
             return Err(InvalidGuide::GestureCount(gestures.len()));
         }
@@ -79,9 +81,26 @@ impl GuideSettings {
         if !(1..=MOST_REPETITIONS).contains(repetitions) {
             return Err(InvalidGuide::Repetitions(*repetitions));
         }
-        let times = [("rest at the beginning", *rest_s), ("a gesture", *hold_s), ("a pause", *pause_s)];
+        self.check_times()
+    }
+
+    /// Checks the ranges of settings that ask for rest and no gesture.
+    ///
+    /// # Errors
+    ///
+    /// The first setting that is out of its range.
+    pub fn check_rest_alone(&self) -> Result<(), InvalidGuide> {
+        if self.rest_s == 0.0 {
+            return Err(InvalidGuide::Seconds { what: REST, seconds: 0.0 });
+        }
+        self.check_times()
+    }
+
+    fn check_times(&self) -> Result<(), InvalidGuide> {
+        let GuideSettings { rest_s, hold_s, pause_s, .. } = self;
+        let times = [(REST, *rest_s), ("a gesture", *hold_s), ("a pause", *pause_s)];
         let is_wrong = |(what, seconds): &(&str, f64)| {
-            let is_left_out = *what == "rest at the beginning" && *seconds == 0.0;
+            let is_left_out = *what == REST && *seconds == 0.0;
             !(is_left_out || (SHORTEST_S..=LONGEST_S).contains(seconds))
         };
         match times.into_iter().find(is_wrong) {
@@ -124,5 +143,9 @@ mod tests {
         }
         assert!(fault(GuideSettings { pause_s: 0.0, ..default() }).starts_with("a pause of 0 s"));
         GuideSettings { rest_s: 0.0, ..default() }.check().unwrap();
+        let rest_alone = GuideSettings { gestures: vec![], ..default() };
+        rest_alone.check_rest_alone().unwrap();
+        let nothing = GuideSettings { rest_s: 0.0, ..rest_alone }.check_rest_alone().unwrap_err();
+        assert!(nothing.to_string().starts_with("rest at the beginning of 0 s"), "{nothing}");
     }
 }

@@ -196,6 +196,8 @@ pub struct WindowHeader {
     pub trace: Trace,
     /// What decision and scoring need to know of the window.
     pub context: WindowContext,
+    /// How unlike muscles the least likely channel is: above 1, an electrode is off.
+    pub novelty: f32,
     /// Number of channels.
     pub channels: u32,
     /// Samples of each channel.
@@ -249,7 +251,7 @@ pub struct PredictionHeader {
     pub trace: Trace,
     /// The window that was classified.
     pub context: WindowContext,
-    /// How unlike all gestures of the calibration the window is: above 1, it is none of them. 0 from a model that does not tell.
+    /// How strange the window is: above 1, it is unlike all gestures of the person's calibration, or an electrode is off.
     pub novelty: f32,
 }
 

@@ -25,6 +25,8 @@ use tempfile::NamedTempFile;
 
 /// Permissions of a new file, less the umask.
 const MODE: u32 = 0o666;
+/// Those of a file with what belongs to a person.
+const PRIVATE_MODE: u32 = 0o600;
 
 /// Why a file cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -131,6 +133,8 @@ pub struct OutputFile {
     /// The file itself where `path` is a symbolic link to it.
     target: PathBuf,
     state: State,
+    /// Permissions of the new file, less the umask.
+    mode: u32,
     /// A pipe stays open from the check on: its reader would take it for ended.
     pipe: Option<Arc<File>>,
 }
@@ -173,7 +177,7 @@ impl OutputFile {
             Err(error) if error.kind() == io::ErrorKind::NotFound => State::Nothing,
             Err(source) => return Err(OutputError::Write { path: owned(), source }),
         };
-        let file = OutputFile { path: owned(), target, state, pipe };
+        let file = OutputFile { path: owned(), target, state, mode: MODE, pipe };
         if state == State::Special {
             return Ok(file);
         }
@@ -183,6 +187,12 @@ impl OutputFile {
         }
         file.temporary().map(drop)?;
         Ok(file)
+    }
+
+    /// The same file, which nobody but its owner will read or write: it holds what belongs to a person.
+    #[must_use]
+    pub fn private(self) -> OutputFile {
+        OutputFile { mode: PRIVATE_MODE, ..self }
     }
 
     /// Where the file goes.
@@ -251,7 +261,7 @@ impl OutputFile {
     fn temporary(&self) -> Result<NamedTempFile, OutputError> {
         tempfile::Builder::new()
             .prefix(".tendon-")
-            .permissions(Permissions::from_mode(MODE))
+            .permissions(Permissions::from_mode(self.mode))
             .tempfile_in(self.folder())
             .map_err(|source| self.error(source))
     }
@@ -413,6 +423,16 @@ mod tests {
         let mode = fs::metadata(&path).unwrap().permissions().mode();
         assert_eq!(mode & 0o400, 0o400);
         assert!(OutputFile::check(&path).unwrap().replaces());
+    }
+
+    #[test]
+    fn what_belongs_to_a_person_is_for_its_owner_alone_whatever_was_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("person.json");
+        fs::write(&path, "before").unwrap();
+        fs::set_permissions(&path, Permissions::from_mode(0o644)).unwrap();
+        OutputFile::check(&path).unwrap().private().write_bytes(b"after").unwrap();
+        assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
     }
 
     #[test]

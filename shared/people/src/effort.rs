@@ -13,6 +13,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::person::LARGEST_VALUE;
+
 /// Share of the windows of rest whose level is no effort.
 const REST_SHARE: f64 = 0.95;
 /// Share of the windows of a gesture that are weaker than its comfortable contraction, which is effort 1. Of a contraction
@@ -76,10 +78,8 @@ impl EffortRange {
     pub(crate) fn is_valid(&self, channels: usize) -> bool {
         self.channel_weights.len() == channels
             && self.channel_weights.iter().all(|weight| (0.0..=1.0).contains(weight))
-            && self.rest >= 0.0
-            && self.rest.is_finite()
-            && self.comfortable >= 0.0
-            && self.comfortable.is_finite()
+            && (0.0..=LARGEST_VALUE).contains(&self.rest)
+            && (0.0..=LARGEST_VALUE).contains(&self.comfortable)
     }
 }
 

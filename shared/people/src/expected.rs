@@ -5,6 +5,9 @@
 //! only one, with prior  made-up ones, which differ from it as other people's repetitions differ
 //! only one, alone       four parts of it in turn, which are more alike than repetitions are
 //! ```
+//!
+//! Windows of a gesture that are as weak as rest do not count: the person had not begun yet, or paused. They are rest,
+//! whatever the cue said.
 
 use serde::{Deserialize, Serialize};
 use tendon_features::{
@@ -40,17 +43,24 @@ pub struct Expected {
     pub accuracy: f64,
     /// What was held out.
     pub held_out: HeldOut,
+    /// Share of the windows of gestures that were left out because they were as weak as rest.
+    #[serde(default)]
+    pub without_effort_share: f64,
+    /// With made-up repetitions: the accuracy if the next repetitions were like the only one, which is too good. Parts of it in
+    /// turn were recognised by a fit to the others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub if_alike: Option<f64>,
     /// Windows by gesture made (row) and gesture recognised (column), in the order of the gestures.
     pub confusion: Vec<Vec<usize>>,
 }
 
 impl Expected {
-    fn of(confusion: Vec<Vec<usize>>, held_out: HeldOut) -> Expected {
+    fn of(confusion: Vec<Vec<usize>>, held_out: HeldOut, without_effort_share: f64) -> Expected {
         let share = |(gesture, row): (usize, &Vec<usize>)| {
             row[gesture] as f64 / row.iter().sum::<usize>().max(1) as f64
         };
         let accuracy = confusion.iter().enumerate().map(share).sum::<f64>() / confusion.len().max(1) as f64;
-        Expected { accuracy, held_out, confusion }
+        Expected { accuracy, held_out, without_effort_share, if_alike: None, confusion }
     }
 
     /// Share of a gesture's windows that were taken for `other`.
@@ -73,46 +83,64 @@ impl Expected {
 
     pub(crate) fn is_valid(&self, gestures: usize) -> bool {
         (0.0..=1.0).contains(&self.accuracy)
+            && (0.0..=1.0).contains(&self.without_effort_share)
+            && self.if_alike.is_none_or(|if_alike| (0.0..=1.0).contains(&if_alike))
             && self.confusion.len() == gestures
             && self.confusion.iter().all(|row| row.len() == gestures)
     }
 }
 
 /// Recognises what is held out of `training`, whose labels are those of `calibration`. `discriminant` is fitted to all of
-/// it.
+/// it. Only the windows that have effort count; rest has.
 pub(crate) fn cross_validate(
     calibration: &Calibration,
     training: &Training,
+    has_effort: &[bool],
     discriminant: &Discriminant,
     prior: Option<&Prior>,
     method: &MethodSettings,
 ) -> Result<(CrossValidation, Expected), FitError> {
+    let gestures = training.labels.iter().filter(|label| **label != 0).count();
+    let left_out =
+        has_effort.iter().filter(|has_effort| !**has_effort).count() as f64 / gestures.max(1) as f64;
     if (0..training.classes.len()).all(|label| calibration.repetitions_of(label).len() > 1) {
         match CrossValidation::new(training, prior, method) {
             // A repetition of a gesture that was hardly made any other time.
             Err(FitError::CannotHoldOut { .. }) => {}
             validation => {
                 let validation = validation?;
-                let expected = Expected::of(validation.confusion(), HeldOut::Repetitions);
+                let confusion = validation.confusion(|window| has_effort[window]);
+                let expected = Expected::of(confusion, HeldOut::Repetitions, left_out);
                 return Ok((validation, expected));
             }
         }
     }
     let (windows, parts) = parts(calibration, training);
-    let length = training.feature_count;
-    let features: Vec<f64> =
-        windows.iter().flat_map(|&window| &training.features[window * length..][..length]).copied().collect();
-    let labels: Vec<usize> = windows.iter().map(|&window| training.labels[window]).collect();
+    let (features, labels) = some(training, &windows);
     let divided = Training { features: &features, labels: &labels, blocks: &parts, ..*training };
     let validation = CrossValidation::new(&divided, prior, method)?;
+    let confusion = validation.confusion(|window| has_effort[windows[window]]);
+    let of_parts = Expected::of(confusion, HeldOut::PartsOfOneRepetition, left_out);
     let expected = match prior.and_then(Prior::population) {
-        Some(population) => Expected::of(
-            recognised_in_new_repetitions(training, discriminant, population)?,
-            HeldOut::MadeUpRepetitions,
-        ),
-        None => Expected::of(validation.confusion(), HeldOut::PartsOfOneRepetition),
+        Some(population) => {
+            let made: Vec<usize> = (0..has_effort.len()).filter(|&window| has_effort[window]).collect();
+            let (features, labels) = some(training, &made);
+            let blocks = vec![0; labels.len()];
+            let made = Training { features: &features, labels: &labels, blocks: &blocks, ..*training };
+            let confusion = recognised_in_new_repetitions(&made, discriminant, population)?;
+            let expected = Expected::of(confusion, HeldOut::MadeUpRepetitions, left_out);
+            Expected { if_alike: Some(of_parts.accuracy), ..expected }
+        }
+        None => of_parts,
     };
     Ok((validation, expected))
+}
+
+/// Features and labels of some of the windows.
+fn some(training: &Training, windows: &[usize]) -> (Vec<f64>, Vec<usize>) {
+    let length = training.feature_count;
+    let features = windows.iter().flat_map(|&window| &training.features[window * length..][..length]);
+    (features.copied().collect(), windows.iter().map(|&window| training.labels[window]).collect())
 }
 
 /// Divides the windows of each gesture into parts that share no samples: the windows between two parts are left out, at
@@ -145,7 +173,7 @@ mod tests {
     #[test]
     fn every_gesture_counts_the_same_and_those_that_look_alike_are_named() {
         let confusion = vec![vec![1000, 0, 0], vec![0, 50, 50], vec![0, 0, 10]];
-        let expected = Expected::of(confusion, HeldOut::Repetitions);
+        let expected = Expected::of(confusion, HeldOut::Repetitions, 0.0);
         assert!((expected.accuracy - 2.5 / 3.0).abs() < 1e-12);
         assert_eq!(expected.alike(), [(1, 2, 0.25)]);
     }

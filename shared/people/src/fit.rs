@@ -73,7 +73,9 @@ impl Person {
             ..training
         };
         let discriminant = Discriminant::fit(&emphasised, prior, method)?;
-        let (validation, expected) = cross_validate(calibration, &training, &discriminant, prior, method)?;
+        let (efforts, has_effort) = efforts(calibration);
+        let (validation, expected) =
+            cross_validate(calibration, &training, &has_effort, &discriminant, prior, method)?;
         let discriminant = discriminant.with_temperature(validation.temperature(method))?;
         let of_parts = expected.held_out != HeldOut::Repetitions;
         let of_held_out =
@@ -81,7 +83,8 @@ impl Person {
         let distance_limit = of_held_out.max(DISTANCE_OF_SESSIONS * (feature_count as f64).sqrt());
         let prior_people = prior.map_or_else(Vec::new, |prior| prior.people().to_vec());
         let fitted = Fitted { floor_variance, distance_limit, discriminant };
-        Ok(assemble(name, Made { prior_people, ..made }, calibration, method, expected, fitted))
+        let made = Made { prior_people, ..made };
+        Ok(assemble(name, made, calibration, method, expected, efforts, fitted))
     }
 }
 
@@ -113,20 +116,16 @@ fn assemble(
     calibration: &Calibration,
     method: &MethodSettings,
     expected: Expected,
+    efforts: Vec<EffortRange>,
     fitted: Fitted,
 ) -> Person {
     let Calibration { signal, gestures, labels, .. } = *calibration;
     let channels = qualities(calibration);
-    let rms = |label: usize| -> Vec<Vec<f64>> {
-        let windows = calibration.windows_of(label);
-        windows.map(|window| rms_of_channels(window, channels.len()).collect()).collect()
-    };
-    let rest_rms = rms(0);
-    let gesture = |(label, name): (usize, &Gesture)| GestureFit {
+    let gesture = |((label, name), effort): ((usize, &Gesture), EffortRange)| GestureFit {
         name: *name,
         repetitions: calibration.repetitions_of(label).len(),
         windows: labels.iter().filter(|own| **own == label).count(),
-        effort: EffortRange::of(&rest_rms, &rms(label)),
+        effort,
     };
     Person {
         name,
@@ -134,11 +133,29 @@ fn assemble(
         findings: findings(calibration, gestures, &channels, &expected),
         signal: signal.clone(),
         expected,
-        gestures: gestures.iter().enumerate().map(gesture).collect(),
+        gestures: gestures.iter().enumerate().zip(efforts).map(gesture).collect(),
         channels,
         method: method.clone(),
         fitted,
     }
+}
+
+/// The range of effort of every gesture; and of every window, whether its gesture was made in it with any. Rest needs none.
+fn efforts(calibration: &Calibration) -> (Vec<EffortRange>, Vec<bool>) {
+    let channels = calibration.signal.channels.len();
+    let rms: Vec<Vec<f64>> =
+        calibration.windows().map(|window| rms_of_channels(window, channels).collect()).collect();
+    let rms_of = |label: usize| -> Vec<Vec<f64>> {
+        let windows = rms.iter().zip(calibration.labels);
+        windows.filter(|(_, own)| **own == label).map(|(rms, _)| rms.clone()).collect()
+    };
+    let rest_rms = rms_of(0);
+    let efforts: Vec<EffortRange> =
+        (0..calibration.gestures.len()).map(|label| EffortRange::of(&rest_rms, &rms_of(label))).collect();
+    let has_effort = rms.iter().zip(calibration.labels);
+    let has_effort = has_effort.map(|(rms, &label)| label == 0 || efforts[label].effort(rms) > 0.0);
+    let has_effort = has_effort.collect();
+    (efforts, has_effort)
 }
 
 /// The quality of every channel.

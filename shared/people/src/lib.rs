@@ -33,3 +33,4 @@ pub use person::{Fitted, GestureFit, Made, Person, SignalFit};
 pub use quality::{ChannelQuality, ClippingWatch};
 pub use recogniser::{Adaptation, Difference, PersonalRecogniser, RecogniseError, Recognition, SignalOffer};
 pub use store::{People, PeopleError, Reserved};
+pub use update::ChannelShift;

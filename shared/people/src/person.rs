@@ -11,9 +11,13 @@ use crate::file::PersonProblem;
 use crate::finding::Finding;
 use crate::name::PersonName;
 use crate::quality::ChannelQuality;
+use crate::recogniser::{PersonalRecogniser, Recognition};
 
 /// Most values of a window, all channels together: a second of 256 channels at 10 kHz.
 const MOST_VALUES: usize = 2_560_000;
+
+/// Largest number of a person file: 32-bit samples are no larger.
+pub(crate) const LARGEST_VALUE: f64 = f32::MAX as f64;
 
 /// What a person file holds: whom, when and from what; how good it is; and the recogniser.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -165,11 +169,39 @@ impl Person {
         if fitted.discriminant.feature_count() != features.feature_count() {
             return Err(PersonProblem::Senseless("the number of features"));
         }
-        if !(fitted.distance_limit > 0.0 && fitted.distance_limit.is_finite()) {
+        if fitted.floor_variance > LARGEST_VALUE {
+            return Err(PersonProblem::Senseless("fitted.floor_variance"));
+        }
+        if !(fitted.distance_limit > 0.0 && fitted.distance_limit <= LARGEST_VALUE) {
             return Err(PersonProblem::Senseless("fitted.distance_limit"));
         }
         if !expected.is_valid(gestures.len()) {
             return Err(PersonProblem::Senseless("what is expected"));
+        }
+        self.check_recogniser()
+    }
+
+    /// Numbers that each make sense can still be too much together: silence, and noise as weak as the person's rest and
+    /// as strong as any gesture, must be recognised as something.
+    fn check_recogniser(&self) -> Result<(), PersonProblem> {
+        let senseless = PersonProblem::Senseless("fitted.discriminant or the effort of a gesture");
+        let recogniser = PersonalRecogniser::new(self, self.signal.increment_samples);
+        let mut recogniser = recogniser.map_err(PersonProblem::Features)?;
+        let comfortable = self.gestures.iter().map(|gesture| gesture.effort.comfortable);
+        let strongest = comfortable.fold(0.0, f64::max);
+        let weakest = self.channels.iter().map(|channel| channel.rest_rms).fold(strongest, f64::min);
+        for level in [0.0, weakest, strongest] {
+            // A sequence without a period that matters here (Weyl 1916), from -1 to 1.
+            let noise = |sample: usize| 2.0 * (sample as f64 * 0.618_033_988_749_895).fract() - 1.0;
+            let window: Vec<f32> =
+                (0..self.signal.window_length()).map(|sample| (level * noise(sample)) as f32).collect();
+            let is_finite = recogniser.recognise_alone(&window).is_ok_and(|recognition| {
+                let Recognition { probabilities, efforts, novelty } = recognition;
+                probabilities.iter().chain(efforts).chain([&novelty]).all(|value| value.is_finite())
+            });
+            if !is_finite {
+                return Err(senseless);
+            }
         }
         Ok(())
     }

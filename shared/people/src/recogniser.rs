@@ -59,7 +59,7 @@ pub struct Recognition<'a> {
     /// How hard it is made if it is this gesture, from 0 (the person's rest) to 1 (a comfortable contraction). 0 for rest.
     pub efforts: &'a [f32],
     /// Distance to the nearest gesture over the person's limit: above 1, the window is unlike anything in the
-    /// calibration.
+    /// calibration. 0 from a network.
     pub novelty: f32,
 }
 
@@ -243,7 +243,7 @@ impl Person {
         );
         // A unit that nobody knows cannot be compared.
         let is_known = !unit.is_empty() && !offer.unit.is_empty();
-        compare("unit", !is_known || unit == offer.unit, unit.clone(), offer.unit.to_owned());
+        compare("unit", !is_known || is_same_unit(unit, offer.unit), unit.clone(), offer.unit.to_owned());
         let samples = |samples: &usize| format!("{samples} samples");
         compare(
             "window",
@@ -258,6 +258,15 @@ impl Person {
         }
         differences
     }
+}
+
+/// Whether two names mean the same unit: `ADC counts` of a model is `adc_counts` of a recording. Letters alone tell V from mV,
+/// and their case says nothing.
+fn is_same_unit(one: &str, other: &str) -> bool {
+    let letters = |unit: &str| -> String {
+        unit.chars().filter(|char| char.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+    };
+    letters(one) == letters(other)
 }
 
 /// Every setting of a filter in words.

@@ -155,6 +155,13 @@ fn a_body_that_does_not_fit_together_is_refused() {
         ("name = \"rest\"", "name = \"fist\""),
         ("unit = ", "units = "),
         ("distance_limit = ", "distance_limit = -"),
+        ("distance_limit = ", "distance_limit = 1e300 #"),
+        ("floor_variance = ", "floor_variance = 1e300 #"),
+        ("temperature = ", "temperature = 1e300 #"),
+        ("comfortable = ", "comfortable = 1e300 #"),
+        ("rest_rms = ", "rest_rms = 1e300 #"),
+        ("biases = [", "biases = [1e300, "),
+        ("factor = \"", "factor = \"////////7w8"),
         ("feature_count = 136", "feature_count = 135"),
         ("feature_count = 136", "feature_count = 9223372036854775807"),
         ("weights = \"", "weights = \"AAAA"),
@@ -170,6 +177,37 @@ fn a_body_that_does_not_fit_together_is_refused() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// A forged file is refused, or recognises: it never ends a session at its first window.
+    #[test]
+    fn what_is_read_recognises_whatever_its_numbers_are(
+        at in 0.0..1.0_f64,
+        number in prop::sample::select(vec!["1e300", "-1e300", "1e-300", "inf", "nan", "0.0", "1e30", "9e18"]),
+        digits in "[A-Za-z0-9+/]{1,12}",
+    ) {
+        let text = person_text();
+        let body = &text[text.find("name = ").expect("a body")..];
+        // A number that people can read.
+        let places: Vec<(usize, &str)> = body.match_indices(" = ").chain(body.match_indices(", ")).collect();
+        let (place, sign) = places[(at * (places.len() - 1) as f64) as usize];
+        let begin = place + sign.len();
+        let length = body[begin..].find([',', ']', '\n']).unwrap_or(0);
+        let readable = format!("{}{number}{}", &body[..begin], &body[begin + length..]);
+        // One in base64.
+        let begin = body.find("weights = \"").expect("weights");
+        let place = begin + 11 + (at * (body.len() - begin - 60) as f64) as usize;
+        let coded = format!("{}{digits}{}", &body[..place], &body[place + digits.len()..]);
+        for changed in [readable, coded] {
+            let Ok(person) = Person::from_body(&changed) else { continue };
+            let mut recogniser = PersonalRecogniser::new(&person, 50).expect("a recogniser");
+            let mut noise = Noise(3);
+            for (_, gains) in gestures() {
+                let recognition = recogniser.recognise_alone(&window(&mut noise, &gains)).expect("a recognition");
+                let values = recognition.probabilities.iter().chain(recognition.efforts);
+                prop_assert!(values.chain([&recognition.novelty]).all(|value| value.is_finite()));
+            }
+        }
+    }
 
     #[test]
     fn no_text_makes_it_panic(at in 0.0..1.0_f64, noise in "[ -~\n]{0,40}", cut in 0_usize..200) {
@@ -234,6 +272,9 @@ fn what_does_not_fit_a_session_is_named_in_words() {
     assert_eq!(said(&fewer), ["channels: calibrated with 4 (0, 3, 5, 8), the session has 3"]);
     let unknown = SignalOffer { channel_names: None, unit: "", filter: None, ..offer };
     assert_eq!(said(&unknown), [""; 0], "what is not known is not compared");
+    let mut counts = person.clone();
+    counts.signal.unit = "adc_counts".to_owned();
+    assert_eq!(counts.differences(&SignalOffer { unit: "ADC counts", ..offer }), [], "another spelling");
 }
 
 fn findings(change: impl Fn(usize, &mut [f32], u32, usize)) -> Vec<Finding> {
@@ -338,7 +379,20 @@ fn people_are_kept_by_name_for_their_owner_alone() {
     assert_eq!(people.find(&anna).expect("found"), person);
     let again = people.add(&person).expect_err("refused").to_string();
     assert!(again.contains("there is a person `anna` already") && again.contains("--replace"), "{again}");
+    let previous = people.previous_of(&anna);
+    assert!(!previous.exists());
+    let mut other = person.clone();
+    other.made.at = "2026-02-03T04:05:06Z".to_owned();
+    people.replace(&other).expect("replaced");
+    assert_eq!(Person::read(&previous).expect("the person before"), person);
+    assert_ne!(person.checksum(), other.checksum());
     people.replace(&person).expect("replaced");
+    assert_eq!(Person::read(&previous).expect("the person before"), other);
+    let reserved = people.reserve(&anna).expect("nobody else calibrates");
+    let busy = people.reserve(&anna).expect_err("reserved").to_string();
+    assert!(busy.contains("`anna` is being calibrated") && busy.contains("another name"), "{busy}");
+    drop(reserved);
+    people.reserve(&anna).expect("free again");
     // What else lies there is nobody.
     std::fs::create_dir(folder.path().join("people/empty")).expect("a folder");
     std::fs::write(folder.path().join("people/Notes.txt"), "x").expect("a file");
@@ -361,4 +415,47 @@ fn people_are_kept_by_name_for_their_owner_alone() {
     let text = std::fs::read_to_string(&file).expect("the file");
     std::fs::write(&file, &text[..text.len() - 9]).expect("cut short");
     assert!(matches!(people.find(&anna), Err(PeopleError::File(_))));
+}
+
+#[test]
+fn what_changed_of_each_channel_since_the_calibration_is_measured() {
+    let person = person();
+    let later = record(&gestures(), 1, 5);
+    let stronger: Vec<f32> = later
+        .samples
+        .iter()
+        .enumerate()
+        .map(|(at, sample)| if at / SAMPLES % CHANNELS == 2 { 3.0 * sample } else { *sample })
+        .collect();
+    let made = later.labels.iter().map(|&label| later.gestures[label]);
+    let shifts = person.shifts(made.zip(stronger.chunks_exact(CHANNELS * SAMPLES)));
+    for (channel, shift) in shifts.iter().enumerate() {
+        let expected = if channel == 2 { 3.0 } else { 1.0 };
+        assert!((shift.rest / expected - 1.0).abs() < 0.03, "{shift:?}");
+        assert!((shift.gestures / expected - 1.0).abs() < 0.03, "{shift:?}");
+    }
+    assert_eq!(shifts[2].name, "5");
+}
+
+#[test]
+fn what_is_as_weak_as_rest_counts_for_nothing_in_what_is_expected() {
+    let recorded = |pauses: bool| {
+        let mut recorded = record(&gestures(), 2, 1);
+        let mut noise = Noise(11);
+        for (number, samples) in recorded.samples.chunks_exact_mut(CHANNELS * SAMPLES).enumerate() {
+            // The person begins late: a third of each gesture is rest still.
+            if pauses && number % 30 < 10 {
+                samples.copy_from_slice(&window(&mut noise, &[1.0; CHANNELS]));
+            }
+        }
+        fit(&recorded).expect("a person").expected
+    };
+    let prompt = recorded(false);
+    assert!(prompt.without_effort_share < 0.01 && prompt.accuracy > 0.99, "{prompt:?}");
+    let late = recorded(true);
+    assert!((late.without_effort_share - 1.0 / 3.0).abs() < 0.05, "{late:?}");
+    // If all windows counted, a third of each gesture would be taken for rest.
+    assert!(late.accuracy > 0.9, "{late:?}");
+    let counted: usize = late.confusion.iter().flatten().sum();
+    assert!(counted < 240 - 50, "{late:?}");
 }

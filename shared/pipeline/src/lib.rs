@@ -135,7 +135,7 @@ impl Pipeline {
         let mut began = Instant::now();
         chain.push_block(block, |chain, window, _| {
             chain.write_window(samples);
-            let recognition = recogniser.recognise(samples, window.first_sample)?;
+            let recognition = recogniser.recognise(samples, window.first_sample, window.novelty)?;
             let decision = decider.decide(&Evidence {
                 probabilities: recognition.probabilities,
                 efforts: recognition.efforts,

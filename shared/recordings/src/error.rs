@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use tendon_signal::DesignError;
 
 use crate::mat::MatError;
+use crate::recorder::RecorderError;
 use crate::table::{TableError, TableProblem};
 
 /// A recording that cannot be read. Each message says where and what to do.
@@ -102,6 +103,9 @@ pub enum RecordingError {
         /// The name asked for.
         name: String,
     },
+    /// A description of a recording that cannot be read.
+    #[error(transparent)]
+    Recorded(#[from] RecorderError),
     /// Settings from which no filter or window can be made.
     #[error(transparent)]
     Design(#[from] DesignError),

@@ -111,6 +111,15 @@ impl RecordedSession {
         }
     }
 
+    /// Reads what a recording is of whose file is at `path`, or a file below it; `None` for one that Tendon did not record.
+    ///
+    /// # Errors
+    ///
+    /// [`RecorderError::Session`] if the description cannot be understood.
+    pub fn beside(path: &Path) -> Result<Option<RecordedSession>, RecorderError> {
+        path.parent().map_or(Ok(None), RecordedSession::read)
+    }
+
     /// Reads what the recording in `folder` is of; `None` where none was recorded.
     ///
     /// # Errors
@@ -378,6 +387,7 @@ fn part_name(number: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::RecordingSettings;
     use crate::labels;
     use crate::table::{Channel, Table};
 
@@ -476,6 +486,37 @@ mod tests {
         assert_eq!(read(place.path(), "emg-1.csv").len(), 100);
         std::mem::forget(recorder);
         assert_eq!(read(place.path(), "emg-1.csv").len(), 100);
+    }
+
+    #[test]
+    fn a_last_line_that_is_cut_short_is_left_out_of_a_recording_of_ours_and_of_no_other() {
+        let place = tempfile::tempdir().unwrap();
+        let mut recorder = Recorder::create(place.path(), session()).unwrap();
+        recorder.push(0, &[1.25; 200]).unwrap();
+        recorder.flush().unwrap();
+        let file = place.path().join("emg-1.csv");
+        let whole = std::fs::read_to_string(&file).unwrap();
+        let settings = RecordingSettings {
+            channels: vec![Channel::Index(0)],
+            sample_rate_hz: Some(2000.0),
+            repetition: None,
+        };
+        // The disk may be full within a number, where the line still looks whole, and at its very beginning.
+        for (rest, cut_lines) in [("1.25,1", 1), ("1.2", 1), ("", 0)] {
+            std::fs::write(&file, format!("{whole}{rest}")).unwrap();
+            let summary = crate::check(&file, &settings).unwrap();
+            assert_eq!((summary.samples, summary.notices.len()), (100, cut_lines), "{rest}");
+            for notice in summary.notices {
+                let notice = notice.to_string();
+                assert!(notice.contains("100 lines of samples before it were read"), "{notice}");
+            }
+        }
+        // A line within the table, or a table of somebody else, stays an error.
+        std::fs::write(&file, format!("{whole}1.2\n1.25,1.25\n")).unwrap();
+        assert!(crate::check(&file, &settings).is_err());
+        std::fs::remove_file(place.path().join(SESSION_FILE)).unwrap();
+        std::fs::write(&file, format!("{whole}1.2")).unwrap();
+        assert!(crate::check(&file, &settings).unwrap_err().to_string().contains("truncated"));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use tendon_gesture::Gesture;
 
 use crate::error::RecordingError;
 use crate::mapped::MappedFile;
-use crate::recorder::is_recorded;
+use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
 use crate::table::{Channel, Table};
 use crate::three_dc;
@@ -97,7 +97,7 @@ impl RecordingSource {
     /// |---|---|
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
-    /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at `settings.sample_rate_hz` |
+    /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at `settings.sample_rate_hz`, or at the rate that a `session.toml` of Tendon beside it states |
     ///
     /// # Errors
     /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
@@ -105,7 +105,10 @@ impl RecordingSource {
     pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
-        let known_hz = segments[0].repetition.map(|_| three_dc::SAMPLE_RATE_HZ);
+        let known_hz = match segments[0].repetition {
+            Some(_) => Some(three_dc::SAMPLE_RATE_HZ),
+            None => RecordedSession::beside(path)?.map(|session| session.sample_rate_hz),
+        };
         let sample_rate_hz = sample_rate(path, known_hz, settings.sample_rate_hz)?;
         let mut source = RecordingSource::of_table(segments, &settings.channels, sample_rate_hz)?;
         source.notices.splice(..0, notices);
@@ -164,7 +167,7 @@ impl RecordingSource {
     }
 
     /// Columns of the current file, chosen or not.
-    pub(crate) fn file_channels(&self) -> usize {
+    pub fn file_channels(&self) -> usize {
         match &self.samples {
             Samples::Table { table, .. } => table.columns(),
             Samples::Columns(columns) => columns.len(),
@@ -172,7 +175,7 @@ impl RecordingSource {
     }
 
     /// The chosen columns of the current file, in the order of a frame: by name where it gives one, else by number from 0.
-    pub(crate) fn chosen(&self) -> Vec<String> {
+    pub fn chosen(&self) -> Vec<String> {
         match &self.samples {
             Samples::Table { table, .. } => table.chosen(),
             Samples::Columns(columns) => (0..columns.len()).map(|column| column.to_string()).collect(),

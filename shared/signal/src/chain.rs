@@ -2,13 +2,15 @@
 //!
 //! ```text
 //! block [channels × samples] ─▶ filter ─┬─▶ windows ─────────────▶ window [channels × window]
-//!                                       └─▶ envelope ─▶ activity ─▶ Calibrating | Rest | Move
+//!           │                           ├─▶ envelope ─▶ activity ─▶ Calibrating | Rest | Move
+//!           └───────────────────────────┴─▶ contact ─▶ novelty
 //! ```
 //! The output is bit-identical however the samples are divided into blocks.
 
 use serde::{Deserialize, Serialize};
 
 use crate::activity::{Activity, ActivityDetector, ActivitySettings, Baseline};
+use crate::contact::ContactWatch;
 use crate::envelope::{DEFAULT_ENVELOPE_MS, Envelope};
 use crate::error::DesignError;
 use crate::filter::{EmgFilter, FilterSettings, is_usable};
@@ -40,7 +42,7 @@ impl Default for SignalSettings {
 }
 
 /// A window that is due: [`SignalChain::write_window`] writes its samples.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// Number of its first sample, counted from the start of the chain, lost samples included.
     pub first_sample: u64,
@@ -49,10 +51,12 @@ pub struct Window {
     /// How many of its samples, over all channels, were unusable and replaced. A window with any does not
     /// show what the muscles did and must be treated as rest.
     pub replaced_samples: u32,
+    /// How unlike muscles the least likely channel is: above 1, an electrode is off (flat, silent, hum or noise).
+    pub novelty: f32,
 }
 
 /// What [`SignalChain::push`] did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Push {
     /// Samples of each channel taken from the block, at least 1. Push again from there until all are taken.
     pub consumed: usize,
@@ -86,6 +90,7 @@ pub struct SignalChain {
     /// Of each channel.
     trackers: Vec<Envelope>,
     activity: ActivityDetector,
+    contact: ContactWatch,
     windower: Windower,
     window_samples: usize,
     /// Number of the next sample, lost ones included.
@@ -111,6 +116,12 @@ impl SignalChain {
             filter: EmgFilter::new(&settings.filter, channels, sample_rate_hz)?,
             trackers: vec![Envelope::new(settings.envelope_ms, sample_rate_hz)?; channels],
             activity: ActivityDetector::new(&settings.activity, channels, sample_rate_hz)?,
+            contact: ContactWatch::new(
+                channels,
+                settings.windows.window_samples,
+                &settings.filter,
+                sample_rate_hz,
+            ),
             windower: Windower::new(&settings.windows, channels)?,
             window_samples: settings.windows.window_samples,
             next_sample: 0,
@@ -153,8 +164,10 @@ impl SignalChain {
 
         let (ring, place) = self.windower.place_mut(consumed);
         let raw_channels = block.chunks_exact(samples).map(|raw| &raw[from..from + consumed]);
-        for (signal, raw) in ring.chunks_exact_mut(self.window_samples).zip(raw_channels.clone()) {
+        let channels = ring.chunks_exact_mut(self.window_samples).zip(raw_channels.clone());
+        for (channel, (signal, raw)) in channels.enumerate() {
             signal[place.clone()].copy_from_slice(raw);
+            self.contact.push(channel, raw, self.next_sample);
         }
         let replaced_samples = self.filter.process_all(ring, place.clone());
 
@@ -182,10 +195,14 @@ impl SignalChain {
         self.next_sample += consumed as u64;
 
         let activity = self.activity.activity();
-        let window = window_ends.then(|| Window {
-            first_sample: self.next_sample - self.window_samples as u64,
-            activity,
-            replaced_samples: self.windower.replaced_samples(),
+        let window = window_ends.then(|| {
+            let first_sample = self.next_sample - self.window_samples as u64;
+            Window {
+                first_sample,
+                activity,
+                replaced_samples: self.windower.replaced_samples(),
+                novelty: self.contact.novelty(first_sample, self.windower.parts(), self.activity.baselines()),
+            }
         });
         Push { consumed, replaced_samples, activity, window }
     }

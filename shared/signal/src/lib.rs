@@ -4,6 +4,7 @@
 //! ```text
 //! block ─▶ filter ─┬─▶ windows ──────────────▶ window
 //!                  └─▶ envelope ─▶ activity ─▶ rest or movement      all of it: chain
+//! block, window ─▶ contact ──────────────────▶ novelty: is an electrode off?
 //! recording ─▶ resample                                              to the session's rate
 //! recording ─▶ filter ─▶ onset                                       where the movement starts
 //! ```
@@ -14,6 +15,7 @@
 
 mod activity;
 mod chain;
+mod contact;
 mod design;
 mod envelope;
 mod error;

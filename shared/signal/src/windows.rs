@@ -134,11 +134,18 @@ impl Windower {
     /// If `out` is not exactly `channels × window` long.
     pub fn write_window(&self, out: &mut [f32]) {
         assert_eq!(out.len(), self.ring.len(), "a window is channels × window samples");
-        for (out, ring) in out.chunks_exact_mut(self.window).zip(self.ring.chunks_exact(self.window)) {
-            let (newest, oldest) = ring.split_at(self.next);
-            out[..oldest.len()].copy_from_slice(oldest);
-            out[oldest.len()..].copy_from_slice(newest);
+        for (out, [older, newer]) in out.chunks_exact_mut(self.window).zip(self.parts()) {
+            out[..older.len()].copy_from_slice(older);
+            out[older.len()..].copy_from_slice(newer);
         }
+    }
+
+    /// The newest `window` samples of each channel in the two parts in which they lie, the older one first.
+    pub(crate) fn parts(&self) -> impl Iterator<Item = [&[f32]; 2]> {
+        self.ring.chunks_exact(self.window).map(|ring| {
+            let (newer, older) = ring.split_at(self.next);
+            [older, newer]
+        })
     }
 }
 

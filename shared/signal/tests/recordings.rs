@@ -1,10 +1,10 @@
-//! How the activity detector does on real forearm signals, the 3DC recordings, where they are present.
+//! How the activity detector and the watch over the electrodes do on real forearm signals, the 3DC recordings, where they are present.
 
 use std::path::{Path, PathBuf};
 
 use tendon_signal::{
     Activity, ActivityDetector, ActivitySettings, DEFAULT_ENVELOPE_MS, EmgFilter, Envelope, FilterSettings,
-    Resampler,
+    Resampler, SignalChain, SignalSettings,
 };
 
 /// The columns that stand for the four electrodes.
@@ -19,11 +19,9 @@ fn recordings() -> Option<PathBuf> {
     Some(shared.join("data/3dc")).filter(|folder| folder.is_dir())
 }
 
-/// One repetition: the envelope of its gestures, one after the other, rest first.
-fn repetition(folder: &Path, number: usize) -> Option<Vec<Envelopes>> {
+/// One repetition, unfiltered: the samples of its gestures by channel, one gesture after the other, rest first.
+fn samples(folder: &Path, number: usize) -> Option<Vec<[Vec<f32>; 4]>> {
     let mut resamplers = vec![Resampler::new(2, 1, 1).expect("a resampler"); 4];
-    let mut filter = EmgFilter::new(&FilterSettings::default(), 4, RATE_HZ).expect("a filter");
-    let mut envelopes = vec![Envelope::new(DEFAULT_ENVELOPE_MS, RATE_HZ).expect("an envelope"); 4];
     let mut offset = None;
     let mut gestures = Vec::new();
     for gesture in 0..=10 {
@@ -38,18 +36,26 @@ fn repetition(folder: &Path, number: usize) -> Option<Vec<Envelopes>> {
         let mut channels = CHANNELS.map(|_| Vec::new());
         for (channel, column) in CHANNELS.into_iter().enumerate() {
             let input: Vec<f32> = rows.iter().map(|row| row[column] - offset[column]).collect();
-            let output = &mut channels[channel];
-            resamplers[channel].process(&input, output);
-            assert_eq!(filter.process(channel, output), 0);
-            for sample in output {
-                *sample = envelopes[channel].push(*sample);
-            }
+            resamplers[channel].process(&input, &mut channels[channel]);
         }
-        let samples = channels[0].len();
-        gestures
-            .push((0..samples).map(|sample| [0, 1, 2, 3].map(|channel| channels[channel][sample])).collect());
+        gestures.push(channels);
     }
     Some(gestures)
+}
+
+/// One repetition: the envelope of its gestures, one after the other, rest first.
+fn repetition(folder: &Path, number: usize) -> Option<Vec<Envelopes>> {
+    let mut filter = EmgFilter::new(&FilterSettings::default(), 4, RATE_HZ).expect("a filter");
+    let mut envelopes = vec![Envelope::new(DEFAULT_ENVELOPE_MS, RATE_HZ).expect("an envelope"); 4];
+    let mut gestures = samples(folder, number)?;
+    let envelope = |channels: &mut [Vec<f32>; 4]| {
+        for (channel, samples) in channels.iter_mut().enumerate() {
+            assert_eq!(filter.process(channel, samples), 0);
+            samples.iter_mut().for_each(|sample| *sample = envelopes[channel].push(*sample));
+        }
+        (0..channels[0].len()).map(|sample| [0, 1, 2, 3].map(|channel| channels[channel][sample])).collect()
+    };
+    Some(gestures.iter_mut().map(envelope).collect())
 }
 
 /// A detector that has been calibrated on `rest`; it has to be long enough.
@@ -127,4 +133,36 @@ fn seldom_active_at_rest_and_nearly_always_in_a_gesture() {
         100.0 * move_share
     );
     assert!(half_per_minute < 0.5 && later_per_minute < 1.0 && move_share > 0.96);
+}
+
+#[test]
+fn hardly_a_window_of_a_person_is_strange_and_none_of_rest() {
+    let Some(folder) = recordings() else {
+        println!("skipped: recordings not found");
+        return;
+    };
+    let (mut windows, mut strange, mut strange_rest) = (0, 0, 0);
+    for person in std::fs::read_dir(folder).expect("the recordings").flatten() {
+        for part in ["train", "test"] {
+            let folder = person.path().join(part).join("EMG");
+            let mut chain = SignalChain::new(&SignalSettings::default(), 4, RATE_HZ).expect("a chain");
+            for repetition in (0..4).filter_map(|number| samples(&folder, number)) {
+                chain.gap(0);
+                for (gesture, channels) in repetition.iter().enumerate() {
+                    // In this order: the samples of the first channel, then those of the next.
+                    let block = channels.concat();
+                    chain
+                        .push_block(&block, |_, window, _| {
+                            windows += 1;
+                            strange += usize::from(window.novelty > 1.0);
+                            strange_rest += usize::from(window.novelty > 1.0 && gesture == 0);
+                            Ok::<(), std::convert::Infallible>(())
+                        })
+                        .expect("nothing fails");
+                }
+            }
+        }
+    }
+    println!("{strange} of {windows} windows are strange, {strange_rest} of them at rest");
+    assert!(windows > 80_000 && 2000 * strange < windows && strange_rest == 0);
 }

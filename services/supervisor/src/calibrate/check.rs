@@ -17,7 +17,7 @@ use tendon_evaluation::{PersonWindows, score_recordings};
 use tendon_gesture::{Gesture, Strategy};
 use tendon_guide::{Guide, GuideSettings};
 use tendon_people::{Person, PersonalRecogniser};
-use tendon_recordings::{RecordedSession, Recorder};
+use tendon_recordings::{Channel, RecordedSession, Recorder};
 use tendon_session::Writer;
 
 use super::round::{Live, RoundEnd};
@@ -30,9 +30,9 @@ const ENDING: &str = "-check";
 /// Shares of the windows of a check round that were recognised.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckScores {
-    /// What recognised them before, in words; `None` if nothing fits.
+    /// What recognises them without this calibration, in words: the person of before, or a network; `None` if nothing fits.
     pub before_by: Option<String>,
-    /// The share before; every gesture counts the same.
+    /// The share without it; every gesture counts the same.
     pub before: Option<f64>,
     /// The share with the calibration.
     pub after: f64,
@@ -92,24 +92,26 @@ impl CheckRound<'_> {
         session: &RecordedSession,
     ) -> anyhow::Result<(CheckScores, Option<String>)> {
         let settings = recorded_settings(self.config, session);
-        let after_by_gesture = recognised(person, &settings, folder)?;
+        let after_by_gesture = recognised_in(person, &settings, folder)?;
         let before = match self.before {
-            Some(before) => recognised(before, &settings, folder)
+            Some(before) => recognised_in(before, &settings, folder)
                 .map(|shares| (format!("{} of {}", before.name, before.made.at), mean(&shares))),
             None => network(folder, session.channels.len()),
         };
         let after = mean(&after_by_gesture);
         let (before, remark) = match before {
             Ok(before) => (Some(before), None),
-            Err(error) => (None, Some(format!("there is no score before the calibration: {error:#}"))),
+            Err(error) => {
+                (None, Some(format!("there is nothing to compare the check round with: {error:#}")))
+            }
         };
         let (before_by, before) = before.unzip();
         Ok((CheckScores { before_by, before, after, after_by_gesture }, remark))
     }
 }
 
-/// Share of each gesture's windows that a person's recogniser recognises.
-fn recognised(
+/// Share of each gesture's windows in `folder` that a person's recogniser recognises.
+fn recognised_in(
     person: &Person,
     settings: &DatasetSettings,
     folder: &Path,
@@ -125,8 +127,14 @@ fn recognised(
     let found = list(&settings, &[folder.to_owned()])?;
     let mut skipped = Vec::new();
     let windows = PersonWindows::read(&settings, &found.recordings, &mut skipped);
+    ensure!(!windows.origins().is_empty(), "no window was recorded: {}", skipped.join("; "));
+    recognised(person, &windows)
+}
+
+/// Share of each gesture's windows that a person's recogniser recognises.
+pub fn recognised(person: &Person, windows: &PersonWindows) -> anyhow::Result<BTreeMap<Gesture, f64>> {
     let gestures = person.gesture_set();
-    let mut recogniser = PersonalRecogniser::new(person, signal.increment_samples)?;
+    let mut recogniser = PersonalRecogniser::new(person, person.signal.increment_samples)?;
     let mut counts: BTreeMap<Gesture, (u64, u64)> = BTreeMap::new();
     for (window, origin) in windows.origins().iter().enumerate() {
         let probabilities = recogniser.recognise_alone(windows.window(window))?.probabilities;
@@ -136,7 +144,6 @@ fn recognised(
         *right += u64::from(best == Some(origin.gesture));
         *all += 1;
     }
-    ensure!(!counts.is_empty(), "no window was recorded: {}", skipped.join("; "));
     Ok(counts.into_iter().map(|(gesture, (right, all))| (gesture, right as f64 / all as f64)).collect())
 }
 
@@ -145,11 +152,12 @@ fn network(folder: &Path, channels: usize) -> anyhow::Result<(String, f64)> {
     let file = default_model_file(Strategy::Direct).context("the direct strategy has a model")?;
     let model = model_beside_program(file)?;
     let classifier = Classifier::load(&runtime_library(None)?, &model)?;
-    let channels: Vec<usize> = (0..channels).collect();
+    let channels: Vec<Channel> = (0..channels).map(Channel::Index).collect();
     let (scores, _) = score_recordings(classifier, &[folder.to_owned()], &channels, &[], &mut |_, _| ())?;
     Ok((file.to_owned(), scores.evaluation.macro_average.recall))
 }
 
-fn mean(shares: &BTreeMap<Gesture, f64>) -> f64 {
+/// The mean over the gestures.
+pub fn mean(shares: &BTreeMap<Gesture, f64>) -> f64 {
     shares.values().sum::<f64>() / shares.len().max(1) as f64
 }

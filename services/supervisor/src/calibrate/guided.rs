@@ -6,13 +6,11 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::channel;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use tendon_config::{Config, Gestures, Source};
-use tendon_dataset::list;
-use tendon_evaluation::PersonWindows;
 use tendon_gesture::Gesture;
 use tendon_guide::{Guide, GuideSettings};
 use tendon_output::OutputFile;
@@ -24,34 +22,31 @@ use tendon_transport::{Leftovers, SessionLock};
 
 use super::check::{self, CheckScores};
 use super::round::{Live, RoundEnd};
-use super::{Fitted, Selection, fit, report};
+use super::{Fitted, Selection, fit, report, update};
 use crate::options::duration;
-use crate::personal::{WINDOWS, personal_windows, recorded_settings};
+use crate::personal::{WINDOWS, check_simulated, is_simulated, personal_windows};
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// Folder of a person's recordings in that of the person.
 const RECORDINGS: &str = "recordings";
 /// What the folder of an update ends with.
 const UPDATE: &str = "-update";
-/// Of an update: how long a gesture is held, and how long the rest before it is, s.
-const UPDATE_HOLD_S: f64 = 1.5;
-const UPDATE_PAUSE_S: f64 = 1.5;
-/// Rest at the beginning of an update, s.
-const UPDATE_REST_S: f64 = 3.0;
 /// What the keys do.
 const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
 
 /// What can be said of a guided calibration.
 #[derive(Debug, Args)]
 pub struct GuidedOptions {
-    /// Then ask for each gesture once more, and say how well it is recognised without the calibration and with it.
+    /// Then ask for each gesture once more, and say how well it is recognised with the calibration, and by what was there
+    /// without it.
     #[arg(long, conflicts_with = "from")]
     check: bool,
-    /// Ask for this gesture alone, in place of what the recording of the calibration has of it.
+    /// Ask for this gesture alone, in place of what the recording of the calibration has of it. `rest` is 5 s of
+    /// it, in place of all rest.
     #[arg(long, value_name = "GESTURE", conflicts_with_all = ["from", "gestures"])]
     redo: Option<Gesture>,
     /// Correct the person for a new day or electrodes that sit a little differently: a few seconds of rest and of each
-    /// gesture move the person by the step that they show.
+    /// gesture (18 s for five gestures) move the person by the step that they show.
     #[arg(long, conflicts_with_all = ["from", "gestures", "repetitions", "redo", "replace"])]
     pub(super) update: bool,
     /// How long to rest at the beginning [default: 5s].
@@ -81,7 +76,7 @@ pub fn calibrate(
     let mut config = configuration(options).map_err(Failure::input)?;
     if let Some(person) = &updated {
         config.dsp.windows.window_samples = person.signal.window_samples;
-        check_signal(person, &config).map_err(Failure::input)?;
+        update::check_signal(person, &config).map_err(Failure::input)?;
     }
     let guide = guide_settings(options, &config, updated.as_ref()).map_err(Failure::input)?;
     let source = checks::source(&config).map_err(Failure::input)?;
@@ -191,7 +186,7 @@ impl Calibration<'_> {
         let clipped_shares = live.clipped_shares();
         let selection = Selection { paths: &paths, repetitions: None, gestures: &[] };
         let fitted = live.meanwhile(|| match self.updated {
-            Some(person) => update(person, config, &folder, &begun),
+            Some(person) => update::update(person, config, &folder, &begun),
             None => fit(options, config, &selection, &clipped_shares, &begun),
         })?;
         let fitted = fitted
@@ -262,18 +257,11 @@ fn guide_settings(
     config: &Config,
     updated: Option<&Person>,
 ) -> anyhow::Result<GuideSettings> {
-    let mut default = GuideSettings::default();
-    if updated.is_some() {
-        default = GuideSettings {
-            rest_s: UPDATE_REST_S,
-            hold_s: UPDATE_HOLD_S,
-            pause_s: UPDATE_PAUSE_S,
-            ..default
-        };
-    }
+    let default = if updated.is_some() { update::guide_settings() } else { GuideSettings::default() };
     let guided = &options.guided;
     let known = updated.map_or_else(|| config.decision.gestures.clone(), Person::gesture_set);
     let gestures = match (guided.redo, &options.gestures[..]) {
+        (Some(Gesture::REST), _) => Vec::new(),
         (Some(gesture), _) => vec![gesture],
         (None, []) => known.iter().filter(|gesture| *gesture != Gesture::REST).collect(),
         (None, gestures) => {
@@ -288,44 +276,20 @@ fn guide_settings(
         hold_s: seconds(guided.hold, default.hold_s),
         pause_s: seconds(guided.pause, default.pause_s),
     };
-    settings.check()?;
+    if guided.redo == Some(Gesture::REST) {
+        ensure!(
+            !guided.check,
+            "--redo rest asks for no gesture, so --check has none to score: leave one of the two out"
+        );
+        settings.check_rest_alone()?;
+    } else {
+        settings.check()?;
+    }
     if is_simulated(config) {
-        let (emg, _) = config.acquisition.open_simulation()?;
-        for gesture in &settings.gestures {
-            emg.gestures().find(gesture.name()).context("the simulated person cannot make it")?;
-        }
+        let whose = if updated.is_some() { options.name.as_str() } else { "the calibration" };
+        check_simulated(config, whose, &settings.gestures)?;
     }
     Ok(settings)
-}
-
-/// An update needs the signal of the calibration.
-fn check_signal(person: &Person, config: &Config) -> anyhow::Result<()> {
-    let signal = &person.signal;
-    let (channels, rate_hz) = (config.acquisition.channels, config.acquisition.sample_rate_hz);
-    let is_same_filter = signal.filter.as_ref().is_none_or(|filter| *filter == config.dsp.filter);
-    ensure!(
-        signal.channels.len() == channels && signal.sample_rate_hz == rate_hz && is_same_filter,
-        "{} was calibrated with {} channels at {} Hz, this session has {channels} at {rate_hz} Hz, or another filter: use \
-         the same configuration",
-        person.name,
-        signal.channels.len(),
-        signal.sample_rate_hz
-    );
-    Ok(())
-}
-
-/// Moves the person by what the recording in `folder` shows.
-fn update(person: &Person, config: &Config, folder: &Path, begun: &Provenance) -> anyhow::Result<Fitted> {
-    let recorded = RecordedSession::read(folder)?.context("the recording's description is gone")?;
-    let settings = recorded_settings(config, &recorded);
-    let found = list(&settings, &[folder.to_owned()])?;
-    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
-    let windows = PersonWindows::read(&settings, &found.recordings, &mut skipped);
-    let begin = Instant::now();
-    let made = windows.origins().iter().enumerate();
-    let made = made.map(|(window, origin)| (origin.gesture, windows.window(window)));
-    let person = person.updated(made, &begun.started_at)?;
-    Ok(Fitted { person, fit_s: begin.elapsed().as_secs_f64(), skipped })
 }
 
 /// Refuses to take gestures from a person who has them: the newest recording was broken off, or is of fewer gestures.
@@ -371,11 +335,6 @@ fn recorded_session(
         session.simulated = of_data_set.map(|(data_set, number)| SimulatedFrom { data_set, number });
     }
     Ok(session)
-}
-
-/// Whether the source is the simulated person that comes with Tendon.
-fn is_simulated(config: &Config) -> bool {
-    config.acquisition.source == Source::Simulate && config.acquisition.program.is_none()
 }
 
 /// What is added to a recording must be of the same channels and rate.

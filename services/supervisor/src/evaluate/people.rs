@@ -12,9 +12,10 @@ use tendon_provenance::Provenance;
 
 use super::Options;
 use crate::Failure;
+use crate::channels::{channels_or_default, listed};
 use crate::options::WINDOW_KEYS;
 use crate::output::{left_out, print};
-use crate::personal::{dataset_settings, shipped_prior};
+use crate::personal::{dataset_settings, how_to_get_personal_windows, shipped_prior, windows_in_words};
 use crate::progress::Works;
 
 /// What `--json` writes.
@@ -52,7 +53,7 @@ pub fn evaluate(
     let drawn =
         figures.iter().flat_map(|folder| write_score_figures(folder, Path::new("calibrated"), &tally));
     let written = collect(json.chain(drawn)).map_err(Failure::running);
-    written.and(print(text(options, &scores)).map_err(Failure::running))
+    written.and(print(text(options, &settings.dataset, &scores)).map_err(Failure::running))
 }
 
 fn settings(options: &Options, repetitions: u32) -> anyhow::Result<PersonalSettings> {
@@ -69,7 +70,9 @@ pub(super) fn dataset(options: &Options, option: &str) -> anyhow::Result<Dataset
         );
     }
     let config = options.base.configuration_of("tendon evaluate", &WINDOW_KEYS)?;
-    Ok(dataset_settings(&config, &options.channels(), options.recording_rate_hz))
+    let settings = dataset_settings(&config, &[], options.recording_rate_hz);
+    let channels = channels_or_default(&options.channels, &settings, &options.paths)?;
+    Ok(DatasetSettings { channels, ..settings })
 }
 
 /// What was scored on what, where somebody gets to read it.
@@ -95,9 +98,16 @@ pub(super) fn failure(error: PersonalError) -> Failure {
     }
 }
 
-pub(super) fn text(options: &Options, scores: &PersonalScores) -> String {
+pub(super) fn text(options: &Options, dataset: &DatasetSettings, scores: &PersonalScores) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
+    let DatasetSettings { channels, windows, sample_rate_hz, .. } = dataset;
     let mut text = format!("people {}\n", people.join(", "));
+    text += &format!(
+        "channels {}; {}{}\n",
+        listed(channels),
+        windows_in_words(windows, *sample_rate_hz),
+        how_to_get_personal_windows(windows, *sample_rate_hz)
+    );
     text += &format!("calibrated on {}\nscored on {}\n", scores.calibrated_on, scores.scored_on);
     text += &format!("with what {} others have in common: {}\n", scores.prior_people, scores.prior_from);
     text += &format!("\n{}\n", scores.evaluation);

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use serde::Serialize;
+use tendon_dataset::DatasetSettings;
 use tendon_evaluation::{UnlabelledScores, UnlabelledSettings, score_unlabelled};
 use tendon_figures::write_score_figures;
 use tendon_output::{OutputFile, OutputFolder, collect};
@@ -49,11 +50,11 @@ pub fn evaluate(
     let drawn =
         figures.iter().flat_map(|folder| write_score_figures(folder, Path::new("unlabelled"), &tally));
     let written = collect(json.chain(drawn)).map_err(Failure::running);
-    written.and(print(text(options, &scores)).map_err(Failure::running))
+    written.and(print(text(options, &settings.dataset, &scores)).map_err(Failure::running))
 }
 
-fn text(options: &Options, scores: &UnlabelledScores) -> String {
-    let mut text = people::text(options, &scores.scores);
+fn text(options: &Options, dataset: &DatasetSettings, scores: &UnlabelledScores) -> String {
+    let mut text = people::text(options, dataset, &scores.scores);
     let percent = |share: f64| format!("{:.0} %", 100.0 * share);
     text += "\n\nwithout labels     sure   named right   all stretches";
     for person in &scores.unlabelled {

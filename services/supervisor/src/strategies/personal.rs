@@ -10,6 +10,7 @@ use tendon_evaluation::{
 use tendon_features::{Cohort, MethodSettings};
 use tendon_gesture::Strategy;
 use tendon_people::Person;
+use tendon_recordings::Channel;
 
 use super::{Options, pipeline_settings};
 use crate::Failure;
@@ -52,13 +53,14 @@ impl People {
 pub fn calibrate(
     options: &Options,
     config: &Config,
+    channels: &[Channel],
     layout: Layout,
     recordings: Vec<PersonRecordings>,
     skipped: &mut Vec<String>,
 ) -> Result<People, Failure> {
     let config = personal_windows(config.clone(), options.sets(WINDOWS));
     let method = MethodSettings::default();
-    let dataset = personal::dataset_settings(&config, &options.channels, options.recording_rate_hz);
+    let dataset = personal::dataset_settings(&config, channels, options.recording_rate_hz);
     let cohort = cohort(options, &dataset, &method)?;
     let calibrating = Calibrating { dataset: &dataset, method: &method, cohort: &cohort, layout };
     let mut fitted =

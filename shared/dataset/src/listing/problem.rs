@@ -87,8 +87,8 @@ pub enum ListingError {
     },
     /// Tables with labels, whose sampling rate was not given.
     #[error(
-        "the files named in {} do not state their sampling rate: give it to `tendon dataset build` with \
-         --recording-rate-hz, e.g. 2000; other commands take the data set",
+        "the files named in {} do not state their sampling rate: give it with --recording-rate-hz, e.g. 2000, or, to a \
+         command without that option, a data set that `tendon dataset build` made of them",
         .labels.display()
     )]
     NoRate {
