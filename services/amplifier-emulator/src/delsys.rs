@@ -5,7 +5,7 @@ use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use tendon_delsys::{Replies, SLOTS, command};
@@ -19,6 +19,8 @@ const FRAME_INTERVAL: &str = "0.0135";
 const FRAME_SAMPLES: u64 = 27;
 /// Their rate, Hz.
 const RATE_HZ: f64 = 2000.0;
+/// How long START waits for the data connection.
+const DATA_CONNECTION: Duration = Duration::from_millis(500);
 /// A client that takes nothing for so long is gone.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -72,6 +74,8 @@ impl DelsysEmulator {
             // A client that hangs up in the middle of a word is gone as well as one that says QUIT.
             let away = self.serve(&stream, &waiting).unwrap_or_default();
             let _ = stream.shutdown(Shutdown::Both);
+            // What it connected for data and did not start is of no use to the next one.
+            waiting.lock().unwrap_or_else(PoisonError::into_inner).take();
             std::thread::sleep(away);
         }
     }
@@ -156,7 +160,15 @@ impl DelsysEmulator {
 
     /// Begins to send to the data connection, if there is one.
     fn start(&self, waiting: &Waiting) -> Option<Run> {
-        let stream = waiting.lock().unwrap_or_else(PoisonError::into_inner).take()?;
+        let until = Instant::now() + DATA_CONNECTION;
+        let stream = loop {
+            // It may be connected and not yet accepted.
+            match waiting.lock().unwrap_or_else(PoisonError::into_inner).take() {
+                Some(stream) => break stream,
+                None if Instant::now() < until => std::thread::sleep(Duration::from_millis(5)),
+                None => return None,
+            }
+        };
         stream.set_nodelay(true).and_then(|()| stream.set_write_timeout(Some(WRITE_TIMEOUT))).ok()?;
         let mut wearer = self.wearer.open(RATE_HZ).ok()?;
         let (slots, console) = (self.slots.clone(), self.console.clone());

@@ -4,7 +4,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 /// All faults: how they are written, and what they do.
-pub const FAULTS: [(&str, &str); 7] = [
+pub const FAULTS: [(&str, &str); 8] = [
     ("lose N", "the next N samples are lost, and counted as lost where the amplifier counts"),
     ("torn N", "the next N packets come byte by byte"),
     (
@@ -12,6 +12,7 @@ pub const FAULTS: [(&str, &str); 7] = [
         "nothing comes for S seconds, though the connection stands; what is measured meanwhile is lost",
     ),
     ("late S", "everything comes S seconds late from now on, until it is connected anew"),
+    ("stuck S", "the first electrode holds its value for S seconds, as a sensor that is out of reach"),
     ("garbage", "1000 random bytes come between two packets"),
     ("close", "the amplifier closes the connection, and can be connected again at once"),
     ("away S", "it closes the connection and is away for S seconds"),
@@ -28,6 +29,8 @@ pub enum Fault {
     Silent(Duration),
     /// Everything comes so late.
     Late(Duration),
+    /// The first electrode holds its value for so long.
+    Stuck(Duration),
     /// Random bytes come.
     Garbage,
     /// The connection is closed, and the amplifier is away for so long.
@@ -36,7 +39,7 @@ pub enum Fault {
 
 /// No fault is written like this.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no fault: write lose N, torn N, silent S, late S, garbage, close or away S")]
+#[error("`{text}` is no fault: write lose N, torn N, silent S, late S, stuck S, garbage, close or away S")]
 pub struct FaultError {
     text: String,
 }
@@ -57,6 +60,7 @@ impl FromStr for Fault {
             ["torn", packets] => Ok(Fault::Torn(count(packets)?)),
             ["silent", time] => Ok(Fault::Silent(seconds(time)?)),
             ["late", time] => Ok(Fault::Late(seconds(time)?)),
+            ["stuck", time] => Ok(Fault::Stuck(seconds(time)?)),
             ["garbage"] => Ok(Fault::Garbage),
             ["close"] => Ok(Fault::Away(Duration::ZERO)),
             ["away", time] => Ok(Fault::Away(seconds(time)?)),

@@ -55,8 +55,12 @@ pub(crate) fn transmit(
         packet.clear();
         let mut sent = 0;
         for number in state.number..end {
-            let microvolts = wearer.next_sample();
-            if !state.loses(number, pace) {
+            let is_lost = state.loses(number, pace);
+            let mut microvolts = wearer.next_sample();
+            if let Some(held) = state.faults.held(microvolts) {
+                microvolts = held;
+            }
+            if !is_lost {
                 encode(number, microvolts, &mut packet);
                 sent += 1;
             }
@@ -107,6 +111,8 @@ struct Faults {
     /// Packets that will come byte by byte.
     torn: u64,
     silent_until: Option<Instant>,
+    /// The electrodes, of which the first holds its value, until then.
+    stuck: Option<(Instant, Vec<f32>)>,
     lag: Duration,
 }
 
@@ -116,6 +122,7 @@ impl Faults {
             Fault::Lose(samples) => self.lost += samples,
             Fault::Torn(packets) => self.torn += packets,
             Fault::Silent(time) => self.silent_until = Some(Instant::now() + time),
+            Fault::Stuck(time) => self.stuck = Some((Instant::now() + time, Vec::new())),
             Fault::Late(time) => self.lag += time,
             Fault::Garbage => {
                 if write_garbage(stream).is_err() {
@@ -125,6 +132,18 @@ impl Faults {
             Fault::Away(time) => return ControlFlow::Break(time),
         }
         ControlFlow::Continue(())
+    }
+}
+
+impl Faults {
+    /// What is measured instead of these, while the first electrode holds its value.
+    fn held(&mut self, microvolts: &[f32]) -> Option<&[f32]> {
+        let (_, held) = self.stuck.as_mut().filter(|(until, _)| Instant::now() < *until)?;
+        let first = held.first().copied().unwrap_or(microvolts[0]);
+        held.clear();
+        held.push(first);
+        held.extend_from_slice(&microvolts[1..]);
+        Some(held)
     }
 }
 
