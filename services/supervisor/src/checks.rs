@@ -11,6 +11,7 @@ use tendon_gesture::Strategy;
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, TWIST_LENGTH, WINDOWS,
 };
+use tendon_otb::Dialling;
 use tendon_process::BATCH_LENGTH;
 use tendon_session::{RECORDER_PROGRAM, check_source_program};
 use tendon_session_file::{Head, is_session_file};
@@ -135,6 +136,19 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
             let daqmx = Daqmx::load(acquisition.nidaqmx.library.as_deref())?;
             Ok(format!("NI-DAQmx {}, {}", daqmx.version()?, acquisition.nidaqmx.channels))
         }
+        Source::Otb => {
+            let amplifier = acquisition.otb.amplifier(acquisition.sample_rate_hz)?;
+            let (name, address) = (amplifier.name(), acquisition.otb.address_of(&amplifier));
+            Ok(match amplifier.dialling() {
+                Dialling::Device { .. } => format!("{name}, which dials in at {address}"),
+                Dialling::Computer { .. } => format!("{name} at {address}"),
+            })
+        }
+        Source::Delsys => Ok(format!(
+            "Delsys Trigno at {}, port {}",
+            acquisition.delsys.address, acquisition.delsys.command_port
+        )),
+        Source::Stream => Ok(format!("a program that connects to {}", acquisition.stream.address)),
         Source::Device => Ok("a device".to_owned()),
     }
 }

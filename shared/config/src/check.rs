@@ -167,6 +167,9 @@ impl Config {
         if acquisition.source == Source::Nidaqmx {
             acquisition.nidaqmx.check().map_err(section("acquisition.nidaqmx"))?;
         }
+        if acquisition.source == Source::Otb {
+            acquisition.otb.amplifier(acquisition.sample_rate_hz).map_err(section("acquisition.otb"))?;
+        }
         if acquisition.source.is_amplifier() {
             if acquisition.unit.as_ref().is_some_and(|unit| unit.trim().is_empty()) {
                 let remedy = "name a unit, such as mV, or leave the key out";

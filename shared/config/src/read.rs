@@ -171,6 +171,8 @@ mod tests {
         config.acquisition.unit = Some("x".into());
         config.acquisition.simulate.profile = Some("x".into());
         config.acquisition.simulate.clip_at = Some(1.0);
+        config.acquisition.otb.address = Some(([127, 0, 0, 1], 1).into());
+        config.acquisition.otb.inputs = Some(8);
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.sample_rate_hz = Some(1.0);
         config.acquisition.replay.channels = Some(vec![]);

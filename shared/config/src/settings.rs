@@ -6,11 +6,14 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
 use tendon_daqmx::NidaqmxSettings;
+use tendon_delsys::DelsysSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
+use tendon_otb::OtbSettings;
 use tendon_people::Adaptation;
 use tendon_recordings::{Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary};
 use tendon_signal::SignalSettings;
+use tendon_stream::StreamSettings;
 use tendon_transport::{Delivery, SessionName};
 use tendon_zones::TaskSettings;
 
@@ -66,6 +69,12 @@ pub enum Source {
     Replay,
     /// An NI device, through NI-DAQmx.
     Nidaqmx,
+    /// An amplifier of OT Bioelettronica.
+    Otb,
+    /// Delsys Trigno, over the vendor's server.
+    Delsys,
+    /// Any program that sends samples over TCP.
+    Stream,
     /// A device, which the program `acquisition.program` reads.
     Device,
 }
@@ -77,6 +86,9 @@ impl Source {
             Source::Simulate => "simulate",
             Source::Replay => "replay",
             Source::Nidaqmx => "nidaqmx",
+            Source::Otb => "otb",
+            Source::Delsys => "delsys",
+            Source::Stream => "stream",
             Source::Device => "device",
         }
     }
@@ -87,6 +99,9 @@ impl Source {
         match self {
             Source::Simulate | Source::Replay => Some("tendon-acquisition"),
             Source::Nidaqmx => Some("tendon-acquire-daqmx"),
+            Source::Otb => Some("tendon-acquire-otb"),
+            Source::Delsys => Some("tendon-acquire-delsys"),
+            Source::Stream => Some("tendon-acquire-stream"),
             Source::Device => None,
         }
     }
@@ -121,6 +136,12 @@ pub struct AcquisitionSettings {
     pub replay: ReplaySettings,
     /// The NI device.
     pub nidaqmx: NidaqmxSettings,
+    /// The amplifier of OT Bioelettronica.
+    pub otb: OtbSettings,
+    /// The server of Delsys Trigno.
+    pub delsys: DelsysSettings,
+    /// Where programs that send samples connect.
+    pub stream: StreamSettings,
 }
 
 impl Default for AcquisitionSettings {
@@ -136,6 +157,9 @@ impl Default for AcquisitionSettings {
             simulate: SimulateSettings::default(),
             replay: ReplaySettings::default(),
             nidaqmx: NidaqmxSettings::default(),
+            otb: OtbSettings::default(),
+            delsys: DelsysSettings::default(),
+            stream: StreamSettings::default(),
         }
     }
 }
@@ -554,7 +578,15 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_settings_file() {
-        for source in [Source::Simulate, Source::Replay, Source::Nidaqmx, Source::Device] {
+        for source in [
+            Source::Simulate,
+            Source::Replay,
+            Source::Nidaqmx,
+            Source::Otb,
+            Source::Delsys,
+            Source::Stream,
+            Source::Device,
+        ] {
             assert_eq!(toml::Value::try_from(source).unwrap().as_str(), Some(source.name()));
         }
         for backend in [Backend::Simulate, Backend::XArm] {
