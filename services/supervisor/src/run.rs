@@ -161,12 +161,7 @@ fn run_locked(
     let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors)
         .map_err(Failure::input)?;
     let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
-    match plan {
-        Ok(plan) => watch.plan_recording(plan).map_err(Failure::input)?,
-        Err(error) if options.record.is_some() => return Err(Failure::input(error)),
-        // Nobody asked for it, and the key for it has no effect then.
-        Err(_) => {}
-    }
+    watch.plan_recording(plan.map_err(Failure::input)?).map_err(Failure::input)?;
     let watched = watch_until_the_end(&mut watch, options, config, &mut known.task, terminal);
     let (usage, stopped) = watch.stop(|state| {
         // What ends the task does not keep the session from ending.

@@ -23,6 +23,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::{AccessFlags, Pid, access};
 use tendon_config::Config;
 use tendon_messages::Stage;
+use tendon_paths::PathError;
 use tendon_process::{Order, Ready};
 
 use crate::recorder::{Recorder, RecordingPlan};
@@ -79,6 +80,9 @@ pub enum ChildrenError {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// There is no place for a recording.
+    #[error(transparent)]
+    NoFolder(#[from] PathError),
     /// The program of another source is not there.
     #[error("{}: the program that acquisition.program names was not found: check its path", program.display())]
     SourceMissing {
@@ -301,12 +305,13 @@ impl Children {
     ///
     /// # Errors
     ///
-    /// [`ChildrenError::Start`] when it cannot be started.
+    /// [`ChildrenError::Start`] when it cannot be started, [`ChildrenError::NoFolder`] when there is no place for a recording.
     pub(crate) fn start_recorder(&self, plan: &RecordingPlan) -> Result<Recorder, ChildrenError> {
+        let folder = plan.folder()?;
         let program = self.folder.join(RECORDER_PROGRAM);
         let mut command = Command::new(&program);
         command.arg("--config").arg(self.config.path()).process_group(0);
-        Recorder::start(command, plan, &self.events, |errors| self.relay("recorder", errors))
+        Recorder::start(command, &folder, &plan.start, &self.events, |errors| self.relay("recorder", errors))
             .map_err(|source| ChildrenError::Start { program, source })
     }
 
