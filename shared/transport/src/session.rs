@@ -314,7 +314,7 @@ pub struct SessionLock {
 pub enum SessionLockError {
     /// Another supervisor runs it.
     #[error(
-        "session `{session}` is in use by {holder}: stop that one, or choose another name with --session"
+        "session `{session}` is in use by {holder}: stop that one, or choose another name (--set session=NAME)"
     )]
     InUse {
         /// Session name.
