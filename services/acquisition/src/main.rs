@@ -1,6 +1,7 @@
 //! The acquisition process that comes with Tendon: the simulated amplifier, or a recording. What it does with their
 //! blocks is `tendon_source::acquire`, as in the process of any other source.
 
+mod recorded_session;
 mod source;
 
 use std::process::ExitCode;

@@ -11,6 +11,8 @@ use tendon_recordings::ReplayStream;
 use tendon_source::{BlockMaker, Pace, Paced, Source, SourceError};
 use tendon_transport::Delivery;
 
+use crate::recorded_session::{RecordedSession, is_recorded_session};
+
 /// Gestures in a random sequence before it begins again.
 const RANDOM_GESTURES: usize = 1000;
 
@@ -34,6 +36,11 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
         SourceKind::Simulate => {
             let (person, description) = SimulatedPerson::open(config)?;
             (Box::new(Paced::new(person, pace, samples)), description)
+        }
+        SourceKind::Replay if is_recorded_session(settings) => {
+            let session = RecordedSession::open(settings, config.delivery())?;
+            let description = session.description();
+            (Box::new(session), description)
         }
         SourceKind::Replay => {
             let (recording, description) = Recording::open(config)?;

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use anyhow::ensure;
 use tendon_gesture::{Decider, Evidence, Frame, Gesture};
 use tendon_messages::{
-    Activity, COMMANDS, CommandHeader, Measured, PREDICTIONS, PredictionHeader, Stage, TWIST_LENGTH,
-    TwistFrame,
+    Activity, COMMANDS, CommandHeader, Measured, PREDICTIONS, PredictionHeader, ReplayMark, Stage,
+    TWIST_LENGTH, TwistFrame,
 };
 use tendon_process::{Consumer, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber};
@@ -64,6 +64,10 @@ impl Consumer<PredictionHeader, f32> for Decision {
             prediction.payload().len()
         );
         let (probabilities, efforts) = prediction.payload().split_at(gestures);
+        if context.is_marked(ReplayMark::DecisionBeganAnew) {
+            self.decider = Decider::new(&process.config.decision)?;
+            (self.last_first_sample, self.gripper_toggles) = (None, 0);
+        }
         // Windows are missing, whoever left them out: votes from before say nothing about now.
         let follows = |last: u64| context.first_sample == last + self.increment_samples;
         if self.last_first_sample.is_some_and(|last| !follows(last)) {
@@ -72,6 +76,10 @@ impl Consumer<PredictionHeader, f32> for Decision {
         self.last_first_sample = Some(context.first_sample);
         if process.is_stale(&trace) {
             process.measurements.counts.stale += 1;
+            self.decider.restart();
+            return Ok(process.measure(&trace, None));
+        }
+        if context.is_marked(ReplayMark::LeftOutByDecision) {
             self.decider.restart();
             return Ok(process.measure(&trace, None));
         }

@@ -3,11 +3,13 @@
 use std::process::ExitCode;
 
 use anyhow::ensure;
+use tendon_config::{Config, Source};
 use tendon_messages::{
     Activity, BLOCKS, BlockHeader, Measured, Stage, Truth, WINDOWS, WindowContext, WindowHeader,
 };
 use tendon_process::{Consumer, StageProcess};
-use tendon_signal::SignalChain;
+use tendon_session_file::{Head, ReplayMarks, is_session_file};
+use tendon_signal::{DesignError, SignalChain};
 use tendon_transport::{Publisher, Received, Subscriber};
 
 fn main() -> ExitCode {
@@ -23,13 +25,14 @@ fn main() -> ExitCode {
             process.control.stop_flag(),
         )?;
         let dsp = Dsp {
-            chain: SignalChain::new(&config.dsp, acquisition.channels, acquisition.sample_rate_hz)?,
+            chain: chain(config)?,
             output: Output {
                 windows,
                 channels: acquisition.channels,
                 sample_rate_hz: acquisition.sample_rate_hz,
                 window_samples: config.dsp.windows.window_samples,
                 truth_before: Truth::default(),
+                marks: replay_marks(config)?,
             },
             next_sample: None,
             calibrated: false,
@@ -42,6 +45,33 @@ fn main() -> ExitCode {
         ))?;
         Ok(move |process: &mut StageProcess| process.consume(blocks, dsp))
     })
+}
+
+fn chain(config: &Config) -> Result<SignalChain, DesignError> {
+    let acquisition = &config.acquisition;
+    SignalChain::new(&config.dsp, acquisition.channels, acquisition.sample_rate_hz)
+}
+
+/// What the replay of a recorded session repeats beside its samples; `None` for any other source, and where the windows are
+/// not those of the recording.
+fn replay_marks(config: &Config) -> anyhow::Result<Option<ReplayMarks>> {
+    let replayed = config
+        .acquisition
+        .replay
+        .path
+        .as_deref()
+        .filter(|path| config.acquisition.source == Source::Replay && is_session_file(path));
+    let Some(path) = replayed else { return Ok(None) };
+    let recorded = Config::parse(&Head::read(path)?.configuration, path)?;
+    if recorded.dsp.windows != config.dsp.windows {
+        tracing::warn!(
+            "{}: recorded with other windows (dsp.windows), so what stages left out then, and where they began anew, is not \
+             repeated",
+            path.display()
+        );
+        return Ok(None);
+    }
+    Ok(Some(ReplayMarks::read(path)?))
 }
 
 struct Dsp {
@@ -60,6 +90,8 @@ struct Output {
     window_samples: usize,
     /// The truth at the end of the block before.
     truth_before: Truth,
+    /// In the replay of a recorded session.
+    marks: Option<ReplayMarks>,
 }
 
 impl Consumer<BlockHeader, f32> for Dsp {
@@ -88,6 +120,11 @@ impl Consumer<BlockHeader, f32> for Dsp {
             samples,
             block.payload().len()
         );
+        let marks = self.output.marks.as_mut();
+        if marks.is_some_and(|marks| marks.begins_anew(header.first_sample)) {
+            self.chain = chain(&process.config)?;
+            (self.next_sample, self.output.truth_before, self.calibrated) = (None, Truth::default(), false);
+        }
         // Lost on the way or skipped by the source; a source that began anew misses nothing but is no
         // continuation either.
         if let Some(expected) = self.next_sample.filter(|expected| *expected != header.first_sample) {
@@ -128,6 +165,14 @@ impl Output {
             return Ok(None);
         }
         let newest_sample = header.first_sample + end as u64 - 1;
+        let first_sample = newest_sample + 1 - self.window_samples as u64;
+        let replay_marks = match &self.marks {
+            None => 0,
+            Some(marks) => match marks.window(first_sample) {
+                Some(marks) => marks,
+                None => return Ok(None),
+            },
+        };
         let truth =
             if header.truth.since_sample() <= newest_sample { header.truth } else { self.truth_before };
         let activity = match window.activity {
@@ -136,12 +181,13 @@ impl Output {
             tendon_signal::Activity::Move => Activity::Move,
         };
         let context = WindowContext {
-            first_sample: newest_sample + 1 - self.window_samples as u64,
+            first_sample,
             first_captured_ns: trace.captured_ns.saturating_sub(duration_ns(self.window_samples - 1)),
             truth,
             replaced_samples: window.replaced_samples,
             calibration_left_ms: (duration_ns(chain.calibration_left_samples()) / 1_000_000) as u32,
             activity: activity.number(),
+            replay_marks,
         };
         let window_header = WindowHeader {
             trace,

@@ -14,7 +14,9 @@ use std::process::ExitCode;
 
 use anyhow::ensure;
 use tendon_classifier::{Recogniser, RecogniserFiles, Recognition, RestCheck, WindowSource};
-use tendon_messages::{Measured, PREDICTIONS, PredictionHeader, Stage, WINDOWS, WindowContext, WindowHeader};
+use tendon_messages::{
+    Measured, PREDICTIONS, PredictionHeader, ReplayMark, Stage, WINDOWS, WindowContext, WindowHeader,
+};
 use tendon_process::{Consumer, Policy, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber, now_ns};
 
@@ -173,6 +175,12 @@ impl Consumer<WindowHeader, f32> for Inference {
             && !rest.take(window.payload(), &header.context)
         {
             self.rest = None;
+        }
+        if header.context.is_marked(ReplayMark::LeftOutByInference) {
+            return Ok(process.measure(&trace, None));
+        }
+        if header.context.is_marked(ReplayMark::InferenceBeganAnew) {
+            self.recogniser.begin_anew(&process.config.dsp.windows)?;
         }
         let Recognition { probabilities, efforts, novelty } =
             self.recogniser.recognise(window.payload(), header.context.first_sample, header.novelty)?;

@@ -12,7 +12,8 @@ use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, TWIST_LENGTH, WINDOWS,
 };
 use tendon_process::BATCH_LENGTH;
-use tendon_session::check_source_program;
+use tendon_session::{RECORDER_PROGRAM, check_source_program};
+use tendon_session_file::{Head, is_session_file};
 use tendon_transport::{required_bytes, shared_memory_directory};
 
 use crate::provenance;
@@ -54,10 +55,12 @@ pub fn shared_memory(config: &Config) -> anyhow::Result<(u64, u64)> {
 pub fn programs() -> anyhow::Result<PathBuf> {
     let program = std::env::current_exe().context("cannot find this program's own folder")?;
     let folder = program.parent().unwrap_or(Path::new("/")).to_owned();
-    let missing: Vec<&str> = Stage::ALL
-        .into_iter()
-        .map(Stage::name)
-        .filter(|name| !folder.join(format!("tendon-{name}")).is_file())
+    let stages = Stage::ALL.map(|stage| format!("tendon-{}", stage.name()));
+    let missing: Vec<&str> = stages
+        .iter()
+        .map(String::as_str)
+        .chain([RECORDER_PROGRAM])
+        .filter(|program| !folder.join(program).is_file())
         .collect();
     ensure!(
         missing.is_empty(),
@@ -116,6 +119,11 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
                 script.check(emg.gestures()).context("acquisition.simulate.script")?;
             }
             Ok(format!("simulated amplifier, profile: {profile}"))
+        }
+        Source::Replay if acquisition.replay.path.as_deref().is_some_and(is_session_file) => {
+            let path = acquisition.replay.path.as_deref().unwrap_or(Path::new(""));
+            Head::read(path)?;
+            Ok(format!("recorded session {}", path.display()))
         }
         Source::Replay => {
             let (summary, stream) = acquisition.open_recording()?;

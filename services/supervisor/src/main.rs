@@ -16,6 +16,7 @@ mod doctor;
 mod evaluate;
 mod experiments;
 mod latency;
+mod note;
 mod options;
 mod order;
 mod output;
@@ -25,6 +26,7 @@ mod prior;
 mod profile;
 mod progress;
 mod provenance;
+mod recorded;
 mod run;
 mod screen;
 mod session_outputs;
@@ -64,6 +66,10 @@ enum Command {
     Stop(order::Options),
     /// Permit the arm of a running session to move again, once the muscles have been at rest.
     Arm(order::Options),
+    /// Keep a note in the recording of a running session.
+    Note(note::Options),
+    /// Compare two recorded sessions, such as one and its replay: what was recognised and decided, bit for bit.
+    Compare(recorded::CompareOptions),
     /// Check what this machine offers a session, and say how to mend what is wrong.
     Doctor(doctor::Options),
     /// Profiles of the simulated amplifier.
@@ -115,6 +121,8 @@ fn main() -> ExitCode {
         Command::Latency(options) => latency::show(&options),
         Command::Stop(options) => order::give(&options, Order::Stop),
         Command::Arm(options) => order::give(&options, Order::Arm),
+        Command::Note(options) => note::leave(&options),
+        Command::Compare(options) => recorded::compare(&options),
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),

@@ -10,16 +10,19 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
+use tempfile::TempDir;
 use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
 use tendon_people::Person;
 use tendon_recordings::Channel;
+use tendon_session_file::is_session_file;
 use tendon_signal::{canonical_unit, known_units};
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
 use crate::personal::{check_person, set_person};
+use crate::recorded::configuration_of;
 
 /// Read where no other is named.
 const DEFAULT_FILE: &str = "tendon.toml";
@@ -81,7 +84,11 @@ impl Base {
 
     /// The file, then what was set.
     fn read(&self) -> anyhow::Result<Config> {
-        let mut config = read_configuration(self.config.as_deref())?;
+        self.with_assignments(read_configuration(self.config.as_deref())?)
+    }
+
+    /// What was set, on top of `config`.
+    fn with_assignments(&self, mut config: Config) -> anyhow::Result<Config> {
         for assignment in &self.assignments {
             config = config.with(assignment)?;
         }
@@ -109,7 +116,11 @@ pub struct Options {
     /// Draw the histograms of newest sample to command and of window start to command there, as PNG and SVG.
     #[arg(long, value_name = "FOLDER")]
     pub figures: Option<PathBuf>,
-    /// Replay a recording: a 3DC folder or file, or a CSV file.
+    /// Record the session there, in a folder of its own: everything as it happens, for this user alone.
+    #[arg(long, value_name = "FOLDER")]
+    pub record: Option<PathBuf>,
+    /// Replay a recording: a 3DC folder or file, or a CSV file; or a recorded session, with its own configuration where
+    /// --config and --set do not say otherwise.
     #[arg(long, value_name = "PATH")]
     replay: Option<PathBuf>,
     /// Sampling rate of the recording, for a CSV file.
@@ -156,13 +167,14 @@ pub struct Options {
 }
 
 impl Options {
-    /// The session's configuration: the file, then the command line. All paths absolute.
+    /// The session's configuration: the file, then the command line. All paths absolute. Beside it, a folder that has to stay
+    /// as long as the session runs.
     ///
     /// # Errors
     ///
     /// What makes no sense, by name.
-    pub fn configuration(&self) -> anyhow::Result<Config> {
-        let mut config = self.base.read()?;
+    pub fn configuration(&self) -> anyhow::Result<(Config, Option<TempDir>)> {
+        let (mut config, folder) = self.read()?;
         if let Some(session) = &self.session {
             config.session = session.clone();
         }
@@ -207,7 +219,24 @@ impl Options {
             let person = person.map_or_else(|| Person::read(file), |(_, person)| Ok(person))?;
             inference.person_checksum.get_or_insert_with(|| person.checksum());
         }
-        Ok(config)
+        Ok((config, folder))
+    }
+
+    /// The configuration before the options: of a recorded session its own, if no other is named.
+    fn read(&self) -> anyhow::Result<(Config, Option<TempDir>)> {
+        let Some(recorded) = self.replay.as_deref().filter(|path| is_session_file(path)) else {
+            return Ok((self.base.read()?, None));
+        };
+        ensure!(
+            self.replay_rate_hz.is_none() && self.repetition.is_none(),
+            "--replay-rate-hz and --repetition are for other recordings, {} is a recorded session: leave them out",
+            recorded.display()
+        );
+        if self.base.config.is_some() {
+            return Ok((self.base.read()?, None));
+        }
+        let (config, folder) = configuration_of(recorded)?;
+        Ok((self.base.with_assignments(config)?, folder))
     }
 
     /// Where the samples come from.

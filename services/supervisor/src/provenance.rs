@@ -9,6 +9,7 @@ use tendon_gesture::Strategy;
 use tendon_identity::PersonId;
 use tendon_provenance::{Program, Provenance};
 use tendon_recordings::{ozdemir, three_dc};
+use tendon_session_file::is_session_file;
 
 /// This program.
 pub const PROGRAM: Program = Program { version: env!("CARGO_PKG_VERSION"), commit: env!("TENDON_COMMIT") };
@@ -23,7 +24,7 @@ pub fn of_session(config: &Config) -> anyhow::Result<Provenance> {
     let replay = &config.acquisition.replay;
     let recording = replay.path.clone().into_iter().filter(|_| config.acquisition.source == Source::Replay);
     let recording: Vec<_> = recording.collect();
-    if !recording.is_empty() {
+    if recording.iter().any(|path| !is_session_file(path)) {
         // Before all of it is read for its hash.
         config.acquisition.check_recording()?;
     }

@@ -21,6 +21,7 @@ use tendon_session::{
     Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, gesture_keys,
     stop_on_signals,
 };
+use tendon_session_file::RecordingReport;
 use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::{Contraction, TaskRun};
 
@@ -28,7 +29,7 @@ use crate::options::Options;
 use crate::personal::check_signal;
 use crate::screen::{KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
-use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, zones};
+use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, recorded, zones};
 
 /// Longest time between two looks at what the stages say. Their messages do not wait for it, but the heartbeat does.
 const TICK: Duration = Duration::from_millis(50);
@@ -38,7 +39,8 @@ const TASK_TICK: Duration = Duration::from_millis(20);
 /// Runs a session. However it ends, the files that were asked for are written; not with a configuration that makes no
 /// sense, because it may name one of them as an input.
 pub fn run(options: &Options) -> Result<(), Failure> {
-    let config = options.configuration().map_err(Failure::input)?;
+    // What a replay takes out of its recording lies in the folder, if it takes anything.
+    let (config, _folder) = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
     let outputs = SessionOutputs::check(
         json.as_deref(),
@@ -96,12 +98,22 @@ impl Known {
             Report::new(self.facts, self.measurements.as_ref().unwrap_or(&SessionMeasurements::default()));
         if self.measurements.is_some() {
             terminal.output.say(report.table().to_string());
+            report.recordings.iter().for_each(|recording| terminal.output.say(recording_line(recording)));
         } else if result.is_ok() {
             terminal.errors.say("tendon: the session ended before it began, so nothing was measured");
         }
         let measurements = self.measurements.unwrap_or_default();
         outputs.write(&report, &measurements, self.task.as_ref(), &terminal.errors)
     }
+}
+
+/// Where a recording lies, and what it lacks.
+fn recording_line(recording: &RecordingReport) -> String {
+    let lost: Vec<String> = recording.lost.iter().map(|(topic, count)| format!("{count} {topic}")).collect();
+    let lost = if lost.is_empty() { String::new() } else { format!(", without {}", lost.join(", ")) };
+    let cut = if recording.error.is_some() { ", ended before the session" } else { "" };
+    let megabytes = recording.bytes as f64 / 1e6;
+    format!("recorded to {} ({megabytes:.1} MB{lost}{cut})", recording.path.display())
 }
 
 fn run_configured(
@@ -144,6 +156,13 @@ fn run_locked(
     };
     let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors)
         .map_err(Failure::input)?;
+    let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
+    match plan {
+        Ok(plan) => watch.plan_recording(plan).map_err(Failure::input)?,
+        Err(error) if options.record.is_some() => return Err(Failure::input(error)),
+        // Nobody asked for it, and the key for it has no effect then.
+        Err(_) => {}
+    }
     let watched = watch_until_the_end(&mut watch, options, config, &mut known.task, terminal);
     let (usage, stopped) = watch.stop(|state| {
         // What ends the task does not keep the session from ending.
@@ -278,6 +297,7 @@ impl Known {
                 .map_or([0.0; 3], |state| state.position_mm().map(f64::from)),
             restarts: watch.restarts(),
             events: watch.events().to_vec(),
+            recordings: watch.recordings().to_vec(),
             task: self.task.as_ref().and_then(|task| task.report(observer.states_lost())),
             ..std::mem::take(&mut self.facts)
         };

@@ -8,7 +8,7 @@ use tendon_observer::State;
 use tendon_session::{is_found_waiting, stop_words};
 
 /// What the keys do, for the person at them.
-pub const KEYS: &str = "keys: space STOP, a arm again, q quit";
+pub const KEYS: &str = "keys: space STOP, a arm again, w record, q quit";
 
 /// What stands for the gesture when it is not clear which one is made.
 const UNSURE: &str = "unsure";

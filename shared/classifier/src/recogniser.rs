@@ -348,6 +348,25 @@ impl Recogniser {
         }
     }
 
+    /// Forgets what it has seen, as if it were opened again: what the person's recogniser adapted to. Windows follow one
+    /// another as `windows` says.
+    ///
+    /// # Errors
+    ///
+    /// None with a person that was opened before.
+    pub fn begin_anew(&mut self, windows: &WindowSettings) -> Result<(), ClassifierError> {
+        // A network knows nothing of the windows before.
+        let Kind::Person(of_person) = &mut self.0 else { return Ok(()) };
+        let adaptation = of_person.recogniser.adaptation();
+        let recogniser = PersonalRecogniser::new(&of_person.person, windows.increment_samples);
+        let recogniser = recogniser.map_err(|error| ClassifierError::UnfitPerson {
+            path: of_person.path.clone(),
+            differences: error.to_string(),
+        })?;
+        of_person.recogniser = recogniser.with_adaptation(adaptation);
+        Ok(())
+    }
+
     /// Runs every model on `window`, whatever it contains, as a rehearsal needs.
     ///
     /// # Errors

@@ -220,9 +220,38 @@ pub struct WindowContext {
     pub calibration_left_ms: u32,
     /// The activity detector's word at the window's newest sample: an [`Activity`] as number.
     pub activity: u8,
+    /// What the stages behind dsp are to repeat in the replay of a recorded session: bits of [`ReplayMark`]s; 0 in a live
+    /// session.
+    pub replay_marks: u8,
+}
+
+/// What a stage did with a window when a session was recorded, and repeats when it is replayed: one bit of
+/// [`WindowContext::replay_marks`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReplayMark {
+    /// The inference process was started again: this window is its first.
+    InferenceBeganAnew = 1,
+    /// The decision process was started again: this window is its first.
+    DecisionBeganAnew = 2,
+    /// Inference left the window out, or did not get it.
+    LeftOutByInference = 4,
+    /// Decision left the window out, or did not get it.
+    LeftOutByDecision = 8,
+}
+
+impl ReplayMark {
+    /// Its bit.
+    pub const fn bit(self) -> u8 {
+        self as u8
+    }
 }
 
 impl WindowContext {
+    /// Whether the window carries this mark.
+    pub fn is_marked(&self, mark: ReplayMark) -> bool {
+        self.replay_marks & mark.bit() != 0
+    }
+
     /// The true gesture's class number if the window lies wholly inside it, else `None`.
     pub fn gesture_throughout(&self) -> Option<u8> {
         self.truth.gesture().filter(|_| self.truth.since_sample <= self.first_sample)

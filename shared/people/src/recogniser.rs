@@ -111,6 +111,11 @@ impl PersonalRecogniser {
         self
     }
 
+    /// Whether it follows its person.
+    pub fn adaptation(&self) -> Adaptation {
+        if self.adaptation.is_some() { Adaptation::Slow } else { Adaptation::Off }
+    }
+
     /// Adapts to the window that was recognised last, if it is surely a gesture of the person's. Does nothing where adaptation
     /// is off.
     pub fn adapt(&mut self) {

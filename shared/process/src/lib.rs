@@ -14,6 +14,7 @@ mod allocations;
 mod control;
 mod error;
 mod measure;
+mod notes;
 mod orders;
 mod scheduling;
 
@@ -32,6 +33,7 @@ pub use allocations::allocations;
 pub use control::{Control, Wake};
 pub use error::{ProcessError, WorkError, with_causes};
 pub use measure::{BATCH_LENGTH, Measurements};
+pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, leave_note};
 pub use orders::{Asker, Order, OrderError, order_robot};
 pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 

@@ -126,26 +126,26 @@ fn listening_name(user: u32, session: &SessionName) -> String {
 
 /// A datagram socket that learns from the kernel who sent what it receives.
 #[derive(Debug)]
-struct Socket {
-    socket: UnixDatagram,
+pub(crate) struct Socket {
+    pub(crate) socket: UnixDatagram,
     /// Room for the sender's credentials and nothing else, so that nobody can hand us descriptors.
     control: Vec<u8>,
 }
 
 /// One datagram: its sender's user and address, and how long it is.
-struct Datagram {
-    user: u32,
-    sender: Option<UnixAddr>,
-    length: usize,
+pub(crate) struct Datagram {
+    pub(crate) user: u32,
+    pub(crate) sender: Option<UnixAddr>,
+    pub(crate) length: usize,
 }
 
 impl Socket {
-    fn new(socket: UnixDatagram) -> std::io::Result<Socket> {
+    pub(crate) fn new(socket: UnixDatagram) -> std::io::Result<Socket> {
         setsockopt(&socket, sockopt::PassCred, &true)?;
         Ok(Socket { socket, control: nix::cmsg_space!(UnixCredentials) })
     }
 
-    fn receive(&mut self, bytes: &mut [u8]) -> nix::Result<Datagram> {
+    pub(crate) fn receive(&mut self, bytes: &mut [u8]) -> nix::Result<Datagram> {
         let mut room = [IoSliceMut::new(bytes)];
         let flags = MsgFlags::MSG_CMSG_CLOEXEC;
         let message =
@@ -159,14 +159,14 @@ impl Socket {
         Ok(Datagram { user, sender: message.address, length: message.bytes })
     }
 
-    fn send(&self, text: &str, to: &UnixAddr) -> nix::Result<usize> {
+    pub(crate) fn send(&self, text: &str, to: &UnixAddr) -> nix::Result<usize> {
         sendto(self.socket.as_raw_fd(), text.as_bytes(), to, MsgFlags::MSG_DONTWAIT)
     }
 }
 
 /// Somebody who waits for an answer.
 #[derive(Debug)]
-pub struct Asker(UnixAddr);
+pub struct Asker(pub(crate) UnixAddr);
 
 /// The robot's end.
 #[derive(Debug)]

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use tendon_gesture::GestureSet;
 use tendon_messages::Stage;
 use tendon_provenance::Provenance;
+use tendon_session_file::RecordingReport;
 use tendon_zones::TaskReport;
 
 use crate::measurements::{SessionMeasurements, Summary};
@@ -86,6 +87,9 @@ pub struct Report {
     /// What was unusual, in the order in which it happened.
     #[serde(default)]
     pub events: Vec<SessionEvent>,
+    /// What the session was recorded to, one for each time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub recordings: Vec<RecordingReport>,
     /// Program, machine, settings, models and recording.
     #[serde(default)]
     pub provenance: Provenance,
@@ -150,6 +154,8 @@ pub struct SessionFacts {
     pub error: Option<String>,
     /// What was unusual, in the order in which it happened.
     pub events: Vec<SessionEvent>,
+    /// What the session was recorded to.
+    pub recordings: Vec<RecordingReport>,
     /// Program, machine, settings, models and recording.
     pub provenance: Provenance,
 }
@@ -373,6 +379,7 @@ impl Report {
             outcome: facts.outcome,
             error: facts.error,
             events: facts.events,
+            recordings: facts.recordings,
             provenance: facts.provenance,
         }
     }

@@ -25,8 +25,12 @@ use tendon_config::Config;
 use tendon_messages::Stage;
 use tendon_process::{Order, Ready};
 
+use crate::recorder::{Recorder, RecordingPlan};
 use crate::robot_line::RobotLine;
 use crate::writer::Writer;
+
+/// Program of the recorder, which lies beside `tendon`.
+pub const RECORDER_PROGRAM: &str = "tendon-recorder";
 
 /// How long a stage may take to stop before it is killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(3);
@@ -50,6 +54,10 @@ pub enum Event {
     GoOn,
     /// The key for the last once more.
     Redo,
+    /// The key that starts and ends a recording.
+    Record,
+    /// The recorder said something, or has ended.
+    Recorder,
     /// A signal, or the key for it.
     Stop,
 }
@@ -268,7 +276,7 @@ impl Children {
         } else {
             Ok(())
         };
-        let relay = self.relay(stage, errors);
+        let relay = self.relay(stage.name(), errors);
         let heard = self.hear(stage, output);
         let relay = connected.and(heard).and(relay);
         match relay {
@@ -282,6 +290,19 @@ impl Children {
             }
         }
         Ok(())
+    }
+
+    /// Starts the recorder of this session, which lies beside this program.
+    ///
+    /// # Errors
+    ///
+    /// [`ChildrenError::Start`] when it cannot be started.
+    pub(crate) fn start_recorder(&self, plan: &RecordingPlan) -> Result<Recorder, ChildrenError> {
+        let program = self.folder.join(RECORDER_PROGRAM);
+        let mut command = Command::new(&program);
+        command.arg("--config").arg(self.config.path()).process_group(0);
+        Recorder::start(command, plan, &self.events, |errors| self.relay("recorder", errors))
+            .map_err(|source| ChildrenError::Start { program, source })
     }
 
     /// Listens to what a stage says on standard output, in a thread.
@@ -300,9 +321,9 @@ impl Children {
     }
 
     /// Passes on what a stage writes to standard error, in a thread: the stage never waits for a terminal.
-    fn relay(&self, stage: Stage, errors: ChildStderr) -> std::io::Result<JoinHandle<String>> {
+    fn relay(&self, name: &str, errors: ChildStderr) -> std::io::Result<JoinHandle<String>> {
         let (standard_error, is_quiet) = (self.standard_error.clone(), self.is_quiet.clone());
-        std::thread::Builder::new().name(format!("errors {}", stage.name())).spawn(move || {
+        std::thread::Builder::new().name(format!("errors {name}")).spawn(move || {
             let mut errors = BufReader::new(errors);
             let mut line = Vec::new();
             let mut last_words = String::new();

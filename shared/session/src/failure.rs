@@ -33,6 +33,14 @@ pub enum SessionFailure {
         /// The last line that it wrote to standard error, which the terminal has shown; empty if it wrote none.
         last_words: String,
     },
+    /// The session was to be recorded from its beginning, and cannot be.
+    #[error("the recording cannot begin ({status}): choose another folder for --record, or leave it out")]
+    RecorderEnded {
+        /// How the recorder ended.
+        status: String,
+        /// The last line that it wrote to standard error.
+        last_words: String,
+    },
     /// Files without which the stages do not reach each other are gone.
     #[error(
         "the session's files in {} were deleted while it ran ({} is gone): its stages no longer reach each other, so it \
@@ -72,6 +80,7 @@ impl SessionFailure {
     pub fn is_input(&self) -> bool {
         match self {
             SessionFailure::StageEnded { status, at_start, .. } => *at_start && status.code() == Some(2),
+            SessionFailure::RecorderEnded { .. } => true,
             _ => false,
         }
     }
@@ -79,7 +88,10 @@ impl SessionFailure {
     /// The reason as a report says it: with what a stage that ended had said of it itself.
     pub fn reason(&self) -> String {
         match self {
-            SessionFailure::StageEnded { last_words, .. } if !last_words.is_empty() => {
+            SessionFailure::StageEnded { last_words, .. }
+            | SessionFailure::RecorderEnded { last_words, .. }
+                if !last_words.is_empty() =>
+            {
                 format!("{last_words}; {self}")
             }
             _ => with_causes(self),

@@ -5,6 +5,7 @@
 //! q, Esc, Ctrl-C ──────────────┐
 //! SIGINT, SIGTERM, SIGHUP ─────┼▶ RobotLine::end, then Event::Stop
 //! the terminal is gone ────────┘
+//! w ───────────────────────────▶ Event::Record
 //! e f u r g n, 0 to 9 (with --keyboard) ▶ Event::Order to acquisition
 //!
 //! In a calibration, which has no arm: space, Enter ▶ Event::GoOn; r ▶ Event::Redo
@@ -128,7 +129,7 @@ impl Drop for Keyboard {
 /// Which keys mean something.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Keys {
-    /// Stop, arm and quit.
+    /// Stop, arm, record and quit.
     Arm,
     /// The same, and those for the gestures of the simulated person.
     Gestures(GestureSet),
@@ -142,6 +143,7 @@ enum Key {
     Stop,
     Arm,
     Quit,
+    Record,
     Gesture(Gesture),
     GoOn,
     Redo,
@@ -171,6 +173,7 @@ fn hear(robot: &RobotLine, events: &Sender<Event>, keys: &Keys) {
                 true
             }
             Key::Quit => quit(robot, events),
+            Key::Record => events.send(Event::Record).is_ok(),
             Key::Gesture(gesture) => {
                 let order = Order::Gesture { gesture, effort: 1.0 };
                 events.send(Event::Order(Stage::Acquisition, order)).is_ok()
@@ -238,6 +241,7 @@ fn meaning(bytes: &[u8], keys: &Keys) -> Vec<Key> {
         b'r' | b'R' if is_guide => Some(Key::Redo),
         _ if is_guide => None,
         b'a' | b'A' => Some(Key::Arm),
+        b'w' | b'W' => Some(Key::Record),
         byte => match keys {
             Keys::Gestures(gestures) => gesture_of(gestures, byte).map(Key::Gesture),
             Keys::Arm | Keys::Guide => None,
@@ -262,6 +266,7 @@ mod tests {
         assert_eq!(meaning(b"a", &Keys::Arm), [Key::Arm]);
         assert_eq!(meaning(b"q", &Keys::Arm), [Key::Quit]);
         assert_eq!(meaning(&[CONTROL_C], &Keys::Arm), [Key::Quit]);
+        assert_eq!(meaning(b"w", &Keys::Arm), [Key::Record]);
         assert_eq!(meaning(b"x", &Keys::Arm), []);
         assert_eq!(meaning(b"e", &Keys::Arm), []);
         assert_eq!(meaning(b"e", &Keys::Gestures(GestureSet::default())), [Key::Gesture(Gesture::EXTENSION)]);
@@ -278,7 +283,7 @@ mod tests {
             assert_eq!(meaning(bytes, &Keys::Guide), [Key::GoOn], "{bytes:?}");
         }
         assert_eq!(meaning(b"r", &Keys::Guide), [Key::Redo]);
-        assert_eq!(meaning(b"ae0", &Keys::Guide), []);
+        assert_eq!(meaning(b"aew0", &Keys::Guide), []);
         assert_eq!(meaning(b" q", &Keys::Guide), [Key::Quit]);
     }
 

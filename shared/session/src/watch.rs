@@ -14,14 +14,16 @@ use tendon_config::{Backend, Config, Source};
 use tendon_gesture::Strategy;
 use tendon_messages::{ArmPhase, Stage};
 use tendon_observer::{Observer, State};
-use tendon_process::{Order, Ready};
+use tendon_process::{Order, Ready, with_causes};
 use tendon_report::SessionEvent;
+use tendon_session_file::{RecordingReport, Said, Told};
 use tendon_transport::{Delivery, Leftovers, SharedFiles};
 
 use crate::arm_stops::ArmStops;
 use crate::children::{Children, ChildrenError, Event, StageEnd};
 use crate::failure::SessionFailure;
 use crate::progress::ProgressWatch;
+use crate::recorder::{Heard, Recorder, RecordingPlan};
 use crate::resources;
 use crate::robot_line::RobotLine;
 use crate::writer::Writer;
@@ -98,6 +100,10 @@ pub struct Watch<'a> {
     own_cpu_before_s: f64,
     /// When the recording was over.
     finished: Option<Instant>,
+    /// `None` where the session cannot be recorded.
+    plan: Option<RecordingPlan>,
+    recorder: Option<Recorder>,
+    recordings: Vec<RecordingReport>,
 }
 
 impl<'a> Watch<'a> {
@@ -133,7 +139,23 @@ impl<'a> Watch<'a> {
             cpu_before_s: BTreeMap::new(),
             own_cpu_before_s: 0.0,
             finished: None,
+            plan: None,
+            recorder: None,
+            recordings: Vec::new(),
         })
+    }
+
+    /// Lets the session be recorded as `plan` says.
+    ///
+    /// # Errors
+    ///
+    /// [`ChildrenError::Start`] when the recorder cannot be started at once.
+    pub fn plan_recording(&mut self, plan: RecordingPlan) -> Result<(), ChildrenError> {
+        if plan.from_the_beginning {
+            self.recorder = Some(self.children.start_recorder(&plan)?);
+        }
+        self.plan = Some(plan);
+        Ok(())
     }
 
     /// Waits until all stages are ready, then lets the source begin; [`Turn::Over`] when told to stop before.
@@ -145,19 +167,21 @@ impl<'a> Watch<'a> {
         let begun = Instant::now();
         let is_simulated = self.config.robot.backend == Backend::Simulate;
         let timeout = if is_simulated { READY_TIMEOUT } else { READY_TIMEOUT_OF_ARM };
-        while self.ready.len() < Stage::ALL.len() {
+        while self.ready.len() < Stage::ALL.len() || self.is_recorder_missing() {
             self.robot.loop_turned();
             match self.events.recv_timeout(READY_TICK) {
                 Ok(Event::Ready(stage, message)) => drop(self.ready.insert(stage, message)),
                 Ok(Event::Stop) => return Ok(Turn::Over),
                 Ok(Event::Ended(stage)) => return self.ended(stage, true),
                 Ok(Event::Order(stage, order)) => self.children.order(stage, order),
-                Ok(Event::GoOn | Event::Redo) | Err(_) => {}
+                Ok(Event::Recorder) => self.hear_recorder()?,
+                Ok(Event::GoOn | Event::Redo | Event::Record) | Err(_) => {}
             }
             self.observer.gather(|_| ())?;
             self.look_at_files()?;
             let missing = Stage::ALL.into_iter().filter(|stage| !self.ready.contains_key(stage));
-            let missing: Vec<&str> = missing.map(Stage::name).collect();
+            let missing: Vec<&str> =
+                missing.map(Stage::name).chain(self.is_recorder_missing().then_some("recorder")).collect();
             if begun.elapsed() > timeout {
                 return Err(SessionFailure::NotReady { who: missing.join(", "), timeout });
             }
@@ -170,6 +194,7 @@ impl<'a> Watch<'a> {
             self.cpu_before_s.extend(resources::cpu_s(process_id).map(|cpu_s| (stage, cpu_s)));
         }
         self.own_cpu_before_s = resources::cpu_s(std::process::id()).unwrap_or_default();
+        self.tell_recorder_of_the_stages();
         for stage in Stage::ALL {
             self.children.order(stage, Order::Start);
         }
@@ -197,6 +222,8 @@ impl<'a> Watch<'a> {
             Ok(Event::Ended(stage)) if self.robot.is_ending() => return self.ended(stage, false),
             Ok(Event::Ended(stage)) => self.restart(stage)?,
             Ok(Event::Ready(stage, ready)) => self.go_on(stage, ready),
+            Ok(Event::Record) => self.start_or_end_recording(),
+            Ok(Event::Recorder) => self.hear_recorder()?,
             Ok(Event::GoOn | Event::Redo) => {}
             Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
         }
@@ -254,6 +281,10 @@ impl<'a> Watch<'a> {
         let gathered = before.and(observer.gather(&mut on_state));
         for stop in stops {
             self.note(stop);
+        }
+        // Last of all, so that it has everything.
+        if let Some(recorder) = self.recorder.take() {
+            self.recording_ended(recorder);
         }
         let result = match killed {
             Err(error) => Err(error.into()),
@@ -319,6 +350,9 @@ impl<'a> Watch<'a> {
         for (stage, process_id) in self.children.process_ids() {
             let before_s = self.cpu_before_s.get(&stage).copied().unwrap_or_default();
             add(stage.name(), process_id, before_s);
+        }
+        if let Some(recorder) = &self.recorder {
+            add("recorder", recorder.process_id(), 0.0);
         }
         add("supervisor", std::process::id(), self.own_cpu_before_s);
         usage
@@ -427,6 +461,88 @@ impl<'a> Watch<'a> {
         !measurements.has_finished() && dsp.received + dsp.lost >= published
     }
 
+    /// Whether the session is to be recorded from its beginning and the recorder is not ready.
+    fn is_recorder_missing(&self) -> bool {
+        let is_wanted = self.plan.as_ref().is_some_and(|plan| plan.from_the_beginning);
+        is_wanted && self.recorder.as_ref().is_none_or(|recorder| recorder.path().is_none())
+    }
+
+    /// The key for it was pressed.
+    fn start_or_end_recording(&mut self) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.let_finish();
+            return;
+        }
+        let Some(plan) = &self.plan else { return };
+        match self.children.start_recorder(plan) {
+            Ok(recorder) => {
+                self.recorder = Some(recorder);
+                self.tell_recorder_of_the_stages();
+            }
+            Err(error) => self.note(format!("the recording cannot begin: {}", with_causes(&error))),
+        }
+    }
+
+    fn tell_recorder_of_the_stages(&mut self) {
+        let Some(recorder) = &mut self.recorder else { return };
+        let stages = self.ready.iter().map(|(stage, ready)| (stage.name(), ready));
+        // A Ready is made of texts and lists of them.
+        if let Ok(stages) = serde_json::to_value(stages.collect::<BTreeMap<_, _>>()) {
+            recorder.tell(&Told::Ready(stages));
+        }
+    }
+
+    /// Takes what the recorder said.
+    fn hear_recorder(&mut self) -> Result<(), SessionFailure> {
+        while let Some(heard) = self.recorder.as_mut().and_then(Recorder::take_heard) {
+            match heard {
+                Heard::Said(Said::Ready(path)) => {
+                    self.standard_error.say(format!("tendon: recording to {}", path.display()));
+                }
+                Heard::Said(Said::Ended(_)) => {}
+                Heard::Closed => {
+                    let Some(recorder) = self.recorder.take() else { return Ok(()) };
+                    let was_missing = recorder.path().is_none() && !self.has_begun();
+                    let (status, last_words) = self.recording_ended(recorder);
+                    // Its ports are in nobody's way any more.
+                    Leftovers::remove_of_the_dead(&self.config.session);
+                    if was_missing {
+                        return Err(SessionFailure::RecorderEnded { status, last_words });
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps what came of a recording, and says so; gives how the recorder ended and its last words.
+    fn recording_ended(&mut self, recorder: Recorder) -> (String, String) {
+        let was_asked = recorder.is_finishing();
+        let (report, status, last_words) = recorder.end();
+        let status = status.map_or_else(|| "gone".to_owned(), |status| status.to_string());
+        if let Some(report) = report {
+            match &report.error {
+                Some(error) => self.note(format!(
+                    "the recording has stopped: {error}; the session goes on. {} holds what was written until then",
+                    report.path.display()
+                )),
+                None if was_asked => {
+                    self.standard_error.say(format!("tendon: recorded to {}", report.path.display()));
+                }
+                None => {}
+            }
+            self.recordings.push(report);
+        } else if self.has_begun() {
+            self.note(format!("the recording could not begin ({status}); the session goes on"));
+        }
+        (status, last_words)
+    }
+
+    /// What came of the recordings so far.
+    pub fn recordings(&self) -> &[RecordingReport] {
+        &self.recordings
+    }
+
     /// Looks once a second whether the files are there through which the stages reach each other.
     fn look_at_files(&mut self) -> Result<(), SessionFailure> {
         if self.looked_at_files.is_some_and(|looked| looked.elapsed() < FILES_INTERVAL) {
@@ -446,6 +562,9 @@ impl<'a> Watch<'a> {
     /// Tells the user of something unusual, and keeps it for the report.
     fn note(&mut self, text: String) {
         self.standard_error.say(format!("tendon: {text}"));
+        if let Some(recorder) = &mut self.recorder {
+            recorder.tell(&Told::Event(text.clone()));
+        }
         self.events_so_far.push(SessionEvent { at_s: self.elapsed().as_secs_f64(), text });
     }
 }

@@ -30,4 +30,4 @@ pub use session::{
     SessionName, own_user, required_bytes, running_sessions, shared_memory_directory,
 };
 pub use shared_files::SharedFiles;
-pub use subscriber::{ReceiveError, Received, Subscriber};
+pub use subscriber::{PolledSubscriber, ReceiveError, Received, Subscriber};

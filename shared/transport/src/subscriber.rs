@@ -35,7 +35,8 @@ pub struct Subscriber<H: Traced, E: Element> {
     stage: Option<Stage>,
     service: PortFactory<ipc::Service, [E], H>,
     port: Port<ipc::Service, [E], H>,
-    wakes: WakeListener,
+    /// `None` for a [`PolledSubscriber`].
+    wakes: Option<WakeListener>,
     gaps: GapCount,
     received: u64,
 }
@@ -75,14 +76,23 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
         stage: Option<Stage>,
         service: PortFactory<ipc::Service, [E], H>,
     ) -> Result<Self, SessionError> {
+        let polled = Subscriber::without_wakes(session, topic, stage, service)?;
+        Ok(Subscriber { wakes: Some(WakeListener::open(session, topic.name)?), ..polled })
+    }
+
+    fn without_wakes(
+        session: &Session,
+        topic: &Topic<H, E>,
+        stage: Option<Stage>,
+        service: PortFactory<ipc::Service, [E], H>,
+    ) -> Result<Self, SessionError> {
         let port = service
             .subscriber_builder()
             .buffer_size(topic.buffer)
             .create()
             .map_err(|error| session.port_error(topic.name, &error))?;
-        let wakes = WakeListener::open(session, topic.name)?;
         let gaps = GapCount::default();
-        Ok(Subscriber { topic: topic.name, stage, service, port, wakes, gaps, received: 0 })
+        Ok(Subscriber { topic: topic.name, stage, service, port, wakes: None, gaps, received: 0 })
     }
 
     /// Connects to the publishers that there are; `false` when there is none yet. One that comes later wakes
@@ -111,7 +121,8 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
     ///
     /// [`ReceiveError`] when the kernel refuses to read.
     pub fn acknowledge_wakes(&self) -> Result<(), ReceiveError> {
-        self.wakes.acknowledge().map_err(|error| self.error(&error))
+        let Some(wakes) = &self.wakes else { return Ok(()) };
+        wakes.acknowledge().map_err(|error| self.error(&error))
     }
 
     /// The next message, stamped as received now; `None` when there is none.
@@ -160,7 +171,50 @@ impl<H: Traced, E: Element> Subscriber<H, E> {
 
 impl<H: Traced, E: Element> AsFd for Subscriber<H, E> {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        self.wakes.as_fd()
+        self.wakes
+            .as_ref()
+            .expect("only a polled subscriber has no wake-ups, and it gives out no descriptor")
+            .as_fd()
+    }
+}
+
+/// The receiving end of a topic that nobody wakes: its publishers do nothing for it beyond queueing the message. For an
+/// observer that looks by itself before the topic's buffer is full.
+#[derive(Debug)]
+pub struct PolledSubscriber<H: Traced, E: Element>(Subscriber<H, E>);
+
+impl<H: Traced, E: Element> PolledSubscriber<H, E> {
+    /// Opens `topic` for an observer.
+    ///
+    /// # Errors
+    ///
+    /// As [`Subscriber::open`].
+    pub fn open(session: &Session, topic: &Topic<H, E>, delivery: Delivery) -> Result<Self, SessionError> {
+        let service = session.topic(topic, delivery)?;
+        Subscriber::without_wakes(session, topic, None, service).map(PolledSubscriber)
+    }
+
+    /// As [`Subscriber::connect`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Subscriber::connect`].
+    pub fn connect(&self) -> Result<bool, ReceiveError> {
+        self.0.connect()
+    }
+
+    /// As [`Subscriber::receive`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Subscriber::receive`].
+    pub fn receive(&mut self) -> Result<Option<Received<H, E>>, ReceiveError> {
+        self.0.receive()
+    }
+
+    /// Messages lost so far, by gaps in the sequence numbers.
+    pub fn lost(&self) -> u64 {
+        self.0.lost()
     }
 }
 

@@ -1,0 +1,161 @@
+//! Recorded sessions: the configuration of a replay, what a recording begins with, and `tendon compare`.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow};
+use clap::Args;
+use tempfile::TempDir;
+use tendon_classifier::ModelFiles;
+use tendon_config::{Backend, Config, ReplaySettings, SimulateSettings, Source};
+use tendon_gesture::Strategy;
+use tendon_output::OutputFile;
+use tendon_provenance::Provenance;
+use tendon_session::RecordingPlan;
+use tendon_session_file::{
+    Differences, Head, MODEL, PERSON, REST_MOVE_MODEL, RecordingStart, compare as compare_files,
+};
+
+use crate::Failure;
+use crate::output::{checked, print};
+use crate::progress::Progress;
+
+/// Largest model or person that is compared with an attached one.
+const LARGEST_FILE: u64 = 200 << 20;
+
+/// The configuration for the replay of the session recorded in the file at `path`: that of the recording, with the arm
+/// simulated. Models and person that are no longer where they were are taken out of the file, into the folder that comes
+/// with it.
+///
+/// # Errors
+///
+/// When the file cannot be read or is none of a session.
+pub fn configuration_of(path: &Path) -> anyhow::Result<(Config, Option<TempDir>)> {
+    let mut head = Head::read(path)?;
+    let mut config = Config::parse(&head.configuration, path)
+        .with_context(|| format!("{}: the recorded configuration", path.display()))?;
+    config.session = Config::default().session;
+    let acquisition = &mut config.acquisition;
+    acquisition.source = Source::Replay;
+    acquisition.program = None;
+    acquisition.channel_selection = None;
+    acquisition.unit = None;
+    acquisition.simulate = SimulateSettings::default();
+    acquisition.replay = ReplaySettings { path: Some(path.to_owned()), ..ReplaySettings::default() };
+    // A replay must not move a real arm because the recorded session did.
+    config.robot.backend = Backend::Simulate;
+    let inference = &mut config.inference;
+    inference.runtime_library = inference.runtime_library.take().filter(|library| library.exists());
+    let now = files(&config).unwrap_or_default();
+    let mut folder: Option<TempDir> = None;
+    for (name, place) in [
+        (MODEL, &mut config.inference.model),
+        (REST_MOVE_MODEL, &mut config.inference.rest_move_model),
+        (PERSON, &mut config.inference.person),
+    ] {
+        let Some(bytes) = head.files.remove(name) else { continue };
+        let is_same = |path: &PathBuf| tendon_input::read(path, LARGEST_FILE).is_ok_and(|now| now == bytes);
+        if now.get(name).is_some_and(is_same) {
+            continue;
+        }
+        if folder.is_none() {
+            folder = Some(tempfile::tempdir().context("cannot make a folder for the recorded models")?);
+        }
+        let Some(folder) = &folder else { continue };
+        // The ending says what kind of file it is.
+        let ending = if name == PERSON { "person" } else { "onnx" };
+        let file = folder.path().join(format!("{name}.{ending}"));
+        std::fs::write(&file, bytes).with_context(|| format!("cannot write {}", file.display()))?;
+        *place = Some(file);
+    }
+    Ok((config, folder))
+}
+
+/// The models or the person of a session, by the names under which a recording keeps them.
+///
+/// # Errors
+///
+/// When a model is missing.
+fn files(config: &Config) -> anyhow::Result<BTreeMap<String, PathBuf>> {
+    let inference = &config.inference;
+    if config.decision.strategy == Strategy::Personal {
+        let person = inference.person.clone();
+        return Ok(person.into_iter().map(|person| (PERSON.to_owned(), person)).collect());
+    }
+    let strategy = config.decision.strategy;
+    let models =
+        ModelFiles::find(strategy, inference.model.as_deref(), inference.rest_move_model.as_deref())?;
+    let rest_move = models.rest_move.map(|rest_move| (REST_MOVE_MODEL.to_owned(), rest_move));
+    Ok(rest_move.into_iter().chain([(MODEL.to_owned(), models.gestures)]).collect())
+}
+
+/// How a session is recorded: to `folder` from its beginning, or by key to where a user's own data are.
+///
+/// # Errors
+///
+/// When a model is missing, or there is no place for a user's data.
+pub fn plan(
+    config: &Config,
+    folder: Option<&Path>,
+    provenance: &Provenance,
+) -> anyhow::Result<RecordingPlan> {
+    let from_the_beginning = folder.is_some();
+    let folder = match folder {
+        Some(folder) => std::path::absolute(folder).context("--record")?,
+        None => tendon_paths::data_folder()?.path().join("sessions"),
+    };
+    let start = RecordingStart { provenance: provenance.clone(), files: files(config)? };
+    Ok(RecordingPlan { folder, start, from_the_beginning })
+}
+
+/// Command line of `tendon compare`.
+#[derive(Debug, Args)]
+pub struct CompareOptions {
+    /// A recorded session.
+    first: PathBuf,
+    /// Another one of the same samples, such as a replay of the first that was recorded.
+    second: PathBuf,
+    /// Write what differs as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// Compares two recorded sessions. What differs is a failure.
+pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
+    let json = checked(options.json.as_deref())?;
+    let size = |path: &Path| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
+    let total = size(&options.first) + size(&options.second);
+    let megabytes = |bytes: u64| (bytes / 1_000_000) as usize;
+    let mut progress = Progress::of(megabytes(total), "MB");
+    let compared = compare_files(&options.first, &options.second, |bytes| {
+        progress.show(megabytes(bytes), String::new);
+    });
+    drop(progress);
+    let found = compared.map_err(Failure::input)?;
+    let written = json.as_ref().map(|json| OutputFile::write_json(json, &found));
+    print(table("predictions", &found.predictions)).map_err(Failure::running)?;
+    print(table("commands", &found.commands)).map_err(Failure::running)?;
+    written.transpose().map_err(Failure::running)?;
+    match found.differences() {
+        0 => Ok(()),
+        differences => Err(Failure::running(anyhow!("the two recordings differ: {differences} differences"))),
+    }
+}
+
+fn table(topic: &str, found: &Differences) -> String {
+    let counts = format!(
+        "{topic:<12} {} the same, {} different, {} only in the first, {} only in the second",
+        found.same, found.different, found.only_in_first, found.only_in_second
+    );
+    let first = found.first.iter().map(|difference| {
+        let epoch = match difference.epoch {
+            0 => String::new(),
+            epoch => format!(" of source {}", epoch + 1),
+        };
+        format!(
+            "\n  {:9.3} s, window at sample {}{epoch}: {}",
+            difference.at_s, difference.first_sample, difference.what
+        )
+    });
+    counts + &first.collect::<String>()
+}

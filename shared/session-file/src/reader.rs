@@ -1,0 +1,289 @@
+//! Reading the file of a session, also one that was cut: all that lies in whole chunks.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use mcap::McapError;
+use mcap::records::Record as McapRecord;
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use crate::block::Block;
+use crate::records::Message;
+use crate::schemas::{CHANNELS, ChannelKind};
+use crate::{CONFIGURATION, PROFILE, VERSION};
+
+/// First bytes of every MCAP file.
+const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
+/// Longest record; one that says it is longer is damaged. A model is the largest thing in a file.
+const LONGEST_RECORD: usize = 256 << 20;
+/// Bytes read at a time.
+const PIECE: usize = 1 << 16;
+
+/// Why the file of a session cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionFileError {
+    /// The system refused.
+    #[error("cannot read {}: check the path and its permissions", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// It is no file of a session.
+    #[error("{}: this is not the file of a recorded session: `tendon run --record FOLDER` makes one", path.display())]
+    NotOne {
+        /// The file.
+        path: PathBuf,
+    },
+    /// It is of another version of this format.
+    #[error("{}: version {version} of the format, this program reads version {VERSION}: use a newer Tendon", path.display())]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// The version that it says.
+        version: String,
+    },
+    /// What every such file begins with is missing.
+    #[error("{}: the recording was cut before its beginning was written: it holds no {what}", path.display())]
+    Beginning {
+        /// The file.
+        path: PathBuf,
+        /// What is missing.
+        what: &'static str,
+    },
+}
+
+/// Whether the file begins as every MCAP file does. `false` also for what cannot be read.
+pub fn is_session_file(path: &Path) -> bool {
+    let mut magic = [0; MAGIC.len()];
+    tendon_input::open(path).and_then(|mut file| file.read_exact(&mut magic)).is_ok() && magic == MAGIC
+}
+
+/// A record of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Record {
+    /// An attached file.
+    Attachment {
+        /// Its name.
+        name: String,
+        /// What it holds.
+        bytes: Vec<u8>,
+    },
+    /// Facts under a name.
+    Metadata {
+        /// Their name.
+        name: String,
+        /// The facts.
+        facts: BTreeMap<String, String>,
+    },
+    /// A message.
+    Message(Message),
+}
+
+/// What a file begins with.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Head {
+    /// The configuration as run, the text of a `tendon.toml`.
+    pub configuration: String,
+    /// The other attached files, by name.
+    pub files: BTreeMap<String, Vec<u8>>,
+}
+
+impl Head {
+    /// Reads the beginning of the file at `path`.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionFileError`].
+    pub fn read(path: &Path) -> Result<Head, SessionFileError> {
+        let mut head = Head::default();
+        let mut reader = Reader::open(path)?.without_samples();
+        while let Some(record) = reader.next()? {
+            match record {
+                Record::Attachment { name, bytes } if name == CONFIGURATION => {
+                    head.configuration = String::from_utf8_lossy(&bytes).into_owned();
+                }
+                Record::Attachment { name, bytes } => drop(head.files.insert(name, bytes)),
+                Record::Metadata { .. } => {}
+                Record::Message(_) => break,
+            }
+        }
+        if head.configuration.is_empty() {
+            return Err(SessionFileError::Beginning { path: path.to_owned(), what: "configuration" });
+        }
+        Ok(head)
+    }
+}
+
+/// Reads a file from its beginning to its end, or to where it was cut or damaged. It never panics, whatever the file holds.
+pub struct Reader<R> {
+    input: R,
+    path: PathBuf,
+    records: LinearReader,
+    /// By the id in the file.
+    channels: HashMap<u16, ChannelKind>,
+    with_samples: bool,
+    has_header: bool,
+    is_over: bool,
+    is_whole: bool,
+    bytes_read: u64,
+}
+
+impl<R> std::fmt::Debug for Reader<R> {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Reader").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+impl Reader<BufReader<File>> {
+    /// Opens the file at `path`.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionFileError::Read`]; [`Reader::next`] says whether it is a file of a session.
+    pub fn open(path: &Path) -> Result<Self, SessionFileError> {
+        let file = tendon_input::open(path)
+            .map_err(|source| SessionFileError::Read { path: path.to_owned(), source })?;
+        Ok(Reader::new(BufReader::with_capacity(PIECE, file), path))
+    }
+}
+
+impl<R: Read> Reader<R> {
+    /// Reads from `input`; `path` is for messages.
+    pub fn new(input: R, path: &Path) -> Reader<R> {
+        // A chunk is looked at only when it is whole and its checksum is right.
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_skip_end_magic(true)
+            .with_record_length_limit(LONGEST_RECORD);
+        Reader {
+            input,
+            path: path.to_owned(),
+            records: LinearReader::new_with_options(options),
+            channels: HashMap::new(),
+            with_samples: true,
+            has_header: false,
+            is_over: false,
+            is_whole: false,
+            bytes_read: 0,
+        }
+    }
+
+    /// Leaves out the samples of blocks, for who needs only their headers.
+    #[must_use]
+    pub fn without_samples(self) -> Reader<R> {
+        Reader { with_samples: false, ..self }
+    }
+
+    /// Whether the end was reached that [`crate::Writer::finish`] wrote. `false` for a file that was cut, or is not read yet.
+    pub fn is_whole(&self) -> bool {
+        self.is_whole
+    }
+
+    /// Bytes read so far.
+    pub fn bytes_read(&self) -> u64 {
+        self.bytes_read
+    }
+
+    /// The next message; what else there is in between is passed over.
+    ///
+    /// # Errors
+    ///
+    /// As [`Reader::next`].
+    pub fn next_message(&mut self) -> Result<Option<Message>, SessionFileError> {
+        loop {
+            match self.next()? {
+                None => return Ok(None),
+                Some(Record::Message(message)) => return Ok(Some(message)),
+                Some(_) => {}
+            }
+        }
+    }
+
+    /// The next record; `None` at the end, or where the file was cut or is damaged. Messages that are none of ours are passed
+    /// over.
+    ///
+    /// # Errors
+    ///
+    /// [`SessionFileError`] when it cannot be read, or is no file of a session.
+    #[expect(clippy::should_implement_trait, reason = "it can fail, and is read with `while let`")]
+    pub fn next(&mut self) -> Result<Option<Record>, SessionFileError> {
+        while !self.is_over {
+            let (opcode, data) = match self.records.next_event() {
+                None | Some(Err(McapError::UnexpectedEof)) => break,
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                    let room = self.records.insert(wanted.clamp(1, PIECE));
+                    let count = self
+                        .input
+                        .read(room)
+                        .map_err(|source| SessionFileError::Read { path: self.path.clone(), source })?;
+                    self.records.notify_read(count);
+                    self.bytes_read += count as u64;
+                    continue;
+                }
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data),
+                // Damaged: what comes behind cannot be told apart any more.
+                Some(Err(_)) => break,
+            };
+            let Ok(record) = mcap::parse_record(opcode, data) else { break };
+            match record {
+                McapRecord::Header(header) if header.profile != PROFILE => break,
+                McapRecord::Header(_) => self.has_header = true,
+                McapRecord::Channel(channel) => {
+                    let kind = CHANNELS.into_iter().find(|kind| kind.topic() == channel.topic);
+                    self.channels.extend(kind.map(|kind| (channel.id, kind)));
+                }
+                McapRecord::Message { header, data } => {
+                    let kind = self.channels.get(&header.channel_id);
+                    let message = kind.and_then(|kind| message(*kind, &data, self.with_samples));
+                    if let Some(message) = message {
+                        return Ok(Some(Record::Message(message)));
+                    }
+                }
+                McapRecord::Attachment { header, data, .. } => {
+                    return Ok(Some(Record::Attachment { name: header.name, bytes: data.into_owned() }));
+                }
+                McapRecord::Metadata(metadata) => {
+                    let (name, facts) = (metadata.name, metadata.metadata);
+                    let version = facts.get("version").filter(|_| name == "session");
+                    if let Some(version) = version.filter(|version| *version != VERSION) {
+                        let version = version.clone();
+                        return Err(SessionFileError::Version { path: self.path.clone(), version });
+                    }
+                    return Ok(Some(Record::Metadata { name, facts }));
+                }
+                // Behind it comes the index, which says nothing new.
+                McapRecord::DataEnd(_) => {
+                    self.is_whole = true;
+                    break;
+                }
+                _ => {}
+            }
+        }
+        self.is_over = true;
+        if self.has_header {
+            return Ok(None);
+        }
+        Err(SessionFileError::NotOne { path: self.path.clone() })
+    }
+}
+
+/// Reads a message; `None` for what no writer of ours writes.
+fn message(kind: ChannelKind, bytes: &[u8], with_samples: bool) -> Option<Message> {
+    fn json<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> Option<T> {
+        serde_json::from_slice(bytes).ok()
+    }
+    match kind {
+        ChannelKind::Blocks => Block::decode(bytes, with_samples).map(Message::Block),
+        ChannelKind::Windows => json(bytes).map(Message::Window),
+        ChannelKind::Predictions => json(bytes).map(Message::Prediction),
+        ChannelKind::Commands => json(bytes).map(Message::Command),
+        ChannelKind::States => json(bytes).map(Message::State),
+        ChannelKind::Measurements => json(bytes).map(Message::Measurement),
+        ChannelKind::Events => json(bytes).map(Message::Event),
+        ChannelKind::Cues => json(bytes).map(Message::Cue),
+    }
+}

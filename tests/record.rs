@@ -1,0 +1,167 @@
+//! Recorded sessions: everything is kept, nobody waits for it, and a replay decides the same bit for bit.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use nix::sys::signal::{Signal, kill};
+use tendon_session_file::{EventKind, Message, Reader};
+use tendon_system_tests::{Ended, Tendon, TendonBuilder, unique_session, wait_until};
+use tendon_transport::SessionName;
+
+/// The file of the one session that was recorded to `folder`, once it is there.
+fn file_in(folder: &Path) -> Option<PathBuf> {
+    let session = std::fs::read_dir(folder).ok()?.next()?.ok()?;
+    Some(session.path().join("session.mcap")).filter(|file| file.is_file())
+}
+
+/// What the file holds so far. It may still be written.
+fn messages_of(file: &Path) -> Vec<Message> {
+    let mut reader = Reader::open(file).unwrap();
+    let mut messages = Vec::new();
+    // Its first bytes may not be there yet.
+    while let Ok(Some(message)) = reader.next_message() {
+        messages.push(message);
+    }
+    messages
+}
+
+fn commands_in(folder: &Path) -> usize {
+    let messages = file_in(folder).map(|file| messages_of(&file)).unwrap_or_default();
+    messages.iter().filter(|message| matches!(message, Message::Command(_))).count()
+}
+
+/// Waits until this many more commands are recorded.
+fn wait_for_commands(session: &mut Tendon, folder: &Path, more: usize) {
+    let before = commands_in(folder);
+    wait_until("commands in the recording", || {
+        assert!(!session.has_ended(), "{}", session.errors_so_far());
+        (commands_in(folder) >= before + more).then_some(())
+    });
+}
+
+fn start_recording(session: &SessionName, folder: &Path) -> Tendon {
+    let mut session = TendonBuilder::run(session).arg("--record").arg(folder).start();
+    session.wait_until_running();
+    wait_for_commands(&mut session, folder, 3);
+    session
+}
+
+fn ask(session: &SessionName, arguments: &[&str]) -> Ended {
+    let name = session.to_string();
+    let mut command = TendonBuilder::command(session, arguments).args(&["--session", &name]).start();
+    command.end_whatever_is_left()
+}
+
+/// Kills a stage and waits until its successor has done some work.
+fn restart(session: &mut Tendon, stage: &str, folder: &Path) {
+    let before = session.stage(stage);
+    kill(before, Signal::SIGKILL).unwrap();
+    wait_until("a new process", || session.find_stage(stage).filter(|process| *process != before));
+    let note = format!("{stage} ended");
+    wait_until("the note on it", || session.errors_so_far().contains(&note).then_some(()));
+    wait_for_commands(session, folder, 30);
+}
+
+#[test]
+fn a_session_with_a_stop_and_restarts_is_replayed_bit_for_bit() {
+    let name = unique_session();
+    let folder = tempfile::tempdir().unwrap();
+    let [recorded, replayed] = ["recorded", "replayed"].map(|name| folder.path().join(name));
+    let mut session = start_recording(&name, &recorded);
+    wait_for_commands(&mut session, &recorded, 80);
+    assert_eq!(ask(&name, &["stop"]).exit_code, Some(0));
+    for stage in ["inference", "decision", "dsp", "acquisition"] {
+        restart(&mut session, stage, &recorded);
+    }
+    session.signal(Signal::SIGINT);
+    let ended = session.end();
+    let recording = &ended.report().recordings[0];
+    assert_eq!(recording.error, None, "{ended:#?}");
+    let file = file_in(&recorded).unwrap();
+    assert_eq!(recording.path, file.canonicalize().unwrap());
+    assert!(ended.output.contains(&format!("recorded to {}", recording.path.display())), "{ended:#?}");
+    let messages = messages_of(&file);
+    let events: Vec<&str> = messages
+        .iter()
+        .filter_map(|message| match message {
+            Message::Event(event) if event.kind == EventKind::Session => Some(event.text.as_str()),
+            _ => None,
+        })
+        .collect();
+    for text in ["stopped by order", "inference ended", "decision ended", "dsp ended", "acquisition ended"] {
+        assert!(events.iter().any(|event| event.contains(text)), "{text}: {events:?}");
+    }
+
+    let replay = TendonBuilder::command(&name, &["run", "--session", &name.to_string(), "--pace", "full"]);
+    let replay =
+        replay.args(&["--realtime", "off", "--replay"]).arg(&file).arg("--record").arg(&replayed).end();
+    assert_eq!(replay.exit_code, Some(0), "{replay:#?}");
+    let compare = TendonBuilder::command(&name, &["compare", "--json", "differences.json"]);
+    let compared = compare.arg(&file).arg(file_in(&replayed).unwrap()).end();
+    assert_eq!(compared.exit_code, Some(0), "{compared:#?}");
+    assert!(compared.output.contains(" 0 different, 0 only in the first"), "{compared:#?}");
+
+    // A replay with another vote decides otherwise, and the comparison says where.
+    let other = folder.path().join("other");
+    let replay = TendonBuilder::command(&name, &["run", "--session", &name.to_string(), "--pace", "full"]);
+    let replay =
+        replay.args(&["--realtime", "off", "--set", "decision.vote_windows=1", "--replay"]).arg(&file);
+    assert_eq!(replay.arg("--record").arg(&other).end().exit_code, Some(0));
+    let compared = TendonBuilder::command(&name, &["compare"]).arg(&file).arg(file_in(&other).unwrap()).end();
+    compared.assert_failed(1, &["the two recordings differ"]);
+    assert!(compared.output.contains("voted "), "{compared:#?}");
+}
+
+#[test]
+fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
+    let name = unique_session();
+    let folder = tempfile::tempdir().unwrap();
+    ask(&name, &["note", "electrode 3 is loose"])
+        .assert_failed(2, &["is not being recorded", "--record FOLDER"]);
+    let session = start_recording(&name, folder.path());
+    let noted = ask(&name, &["note", "electrode 3 is loose"]);
+    assert!(noted.output.starts_with("noted in "), "{noted:#?}");
+    kill(session.stage("recorder"), Signal::SIGKILL).unwrap();
+    wait_until("the note on it", || {
+        session.errors_so_far().contains("the recording has stopped: the recorder ended").then_some(())
+    });
+    ask(&name, &["note", "too late"]).assert_failed(2, &["is not being recorded"]);
+    let messages = messages_of(&file_in(folder.path()).unwrap());
+    let is_note =
+        |message: &Message| matches!(message, Message::Event(event) if event.text == "electrode 3 is loose");
+    assert!(messages.iter().any(is_note), "{messages:?}");
+    assert!(messages.iter().filter(|message| matches!(message, Message::Block(_))).count() > 100);
+    session.signal(Signal::SIGINT);
+    let report = session.end().report();
+    assert!(report.recordings[0].error.as_ref().unwrap().contains("signal: 9"), "{report:#?}");
+}
+
+#[test]
+fn a_full_disk_and_a_deleted_file_stop_the_recording_and_not_the_session() {
+    let name = unique_session();
+    let folder = tempfile::tempdir().unwrap();
+    let session = start_recording(&name, folder.path());
+    let recorder = session.stage("recorder").to_string();
+    // What a full disk does: no byte more.
+    let limited = Command::new("prlimit").args(["--fsize=1000", "--pid", &recorder]).status().unwrap();
+    assert!(limited.success());
+    wait_until("the note on it", || {
+        session.errors_so_far().contains("the recording has stopped: cannot write").then_some(())
+    });
+    session.signal(Signal::SIGINT);
+    assert!(session.end().report().recordings[0].error.as_ref().unwrap().contains("File too large"));
+
+    let name = unique_session();
+    let folder = tempfile::tempdir().unwrap();
+    let session = start_recording(&name, folder.path());
+    std::fs::remove_file(file_in(folder.path()).unwrap()).unwrap();
+    wait_until("the note on it", || session.errors_so_far().contains("was deleted or moved").then_some(()));
+    session.signal(Signal::SIGINT);
+    assert_eq!(session.end().exit_code, Some(0));
+
+    let blocked = folder.path().join("file");
+    std::fs::write(&blocked, "").unwrap();
+    let refused = TendonBuilder::run(&name).arg("--record").arg(&blocked).end();
+    refused.assert_failed(2, &["the recording cannot begin"]);
+}
