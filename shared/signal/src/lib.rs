@@ -28,6 +28,7 @@ mod windows;
 
 pub use activity::{Activity, ActivityDetector, ActivitySettings, Baseline, SIGMA_PER_MAD};
 pub use chain::{Push, SignalChain, SignalSettings, Window};
+pub use contact::Fault;
 pub use design::{MAX_ORDER, Section, butterworth_band_pass, butterworth_high_pass, notch};
 pub use envelope::{DEFAULT_ENVELOPE_MS, Envelope};
 pub use error::DesignError;
