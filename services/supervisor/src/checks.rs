@@ -1,6 +1,7 @@
 //! What keeps a session from running on this machine: `tendon run` refuses it, `tendon doctor` shows it.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use tendon_classifier::{Recogniser, RecogniserFiles, WindowSource};
@@ -8,15 +9,20 @@ use tendon_config::{Config, Gestures, Source};
 use tendon_daqmx::Daqmx;
 use tendon_emg_simulation::Script;
 use tendon_gesture::Strategy;
+use tendon_lsl::{Lsl, LslSettings};
 use tendon_messages::{
     BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATE_LENGTH, STATES, Stage, TWIST_LENGTH, WINDOWS,
 };
+use tendon_otb::Dialling;
 use tendon_process::BATCH_LENGTH;
 use tendon_session::{RECORDER_PROGRAM, check_source_program};
 use tendon_session_file::{Head, is_session_file};
 use tendon_transport::{required_bytes, shared_memory_directory};
 
 use crate::provenance;
+
+/// How long a stream of LSL is looked for.
+const LSL_LOOK: Duration = Duration::from_millis(500);
 
 /// Refuses a session that would run out of shared memory, because that kills the process which touches the
 /// page that is missing (SIGBUS). Returns the free and the needed bytes.
@@ -131,10 +137,55 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
             let columns = summary.channels.join(", ");
             Ok(format!("{}, {:.1} s, columns {columns}", first.display(), summary.duration_s))
         }
+        Source::Lsl => lsl(&acquisition.lsl),
         Source::Nidaqmx => {
             let daqmx = Daqmx::load(acquisition.nidaqmx.library.as_deref())?;
             Ok(format!("NI-DAQmx {}, {}", daqmx.version()?, acquisition.nidaqmx.channels))
         }
+        Source::Otb => {
+            let amplifier = acquisition.otb.amplifier(acquisition.sample_rate_hz)?;
+            let (name, address) = (amplifier.name(), acquisition.otb.address_of(&amplifier));
+            Ok(match amplifier.dialling() {
+                Dialling::Device { .. } => format!("{name}, which dials in at {address}"),
+                Dialling::Computer { .. } => format!("{name} at {address}"),
+            })
+        }
+        Source::Delsys => Ok(format!(
+            "Delsys Trigno at {}, port {}",
+            acquisition.delsys.address, acquisition.delsys.command_port
+        )),
+        Source::Stream => Ok(format!("a program that connects to {}", acquisition.stream.address)),
         Source::Device => Ok("a device".to_owned()),
     }
+}
+
+/// Loads what gives a session's results to other programs, if that is asked for.
+///
+/// # Errors
+///
+/// When it is not there.
+pub fn outlets(config: &Config) -> anyhow::Result<()> {
+    if config.outlets.lsl {
+        let library = tendon_lsl::find_library(config.acquisition.lsl.library.as_deref());
+        library.and_then(|library| Lsl::load(&library)).context("outlets.lsl (--lsl-out)")?;
+    }
+    Ok(())
+}
+
+/// Loads liblsl and looks for the stream that a session would read, for a moment only. Says what is there.
+///
+/// # Errors
+///
+/// When there is no liblsl.
+pub fn lsl(settings: &LslSettings) -> anyhow::Result<String> {
+    let library = tendon_lsl::find_library(settings.library.as_deref())?;
+    let lsl = Lsl::load(&library)?;
+    let found = lsl.find(settings, LSL_LOOK)?;
+    let streams: Vec<String> = found.iter().map(|stream| stream.facts.to_string()).collect();
+    let streams = if streams.is_empty() {
+        format!("no stream with {} now: `tendon sources` lists those there are", settings.describe())
+    } else {
+        streams.join("; ")
+    };
+    Ok(format!("{}, version {}; {streams}", library.display(), lsl.version()))
 }

@@ -1,7 +1,7 @@
 //! `tendon doctor`: what this machine offers a session, and how to mend what is wrong.
 
 use clap::Args;
-use tendon_config::{Backend, Config, Realtime, SchedulingSettings};
+use tendon_config::{Backend, Config, Realtime, SchedulingSettings, Source};
 use tendon_daqmx::Daqmx;
 use tendon_messages::Stage;
 use tendon_paths::PrivateFolder;
@@ -73,6 +73,7 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
     findings.add_checked("source", checks::source(&config));
     nidaqmx(&mut findings, &config);
     findings.add_checked("model and runtime", checks::models(&config));
+    lsl(&mut findings, &config);
     shared_memory(&mut findings, &config);
     scheduling(&mut findings, &config);
     leftovers(&mut findings, options.clean);
@@ -121,6 +122,18 @@ fn folders(findings: &mut Findings, config: &Config) {
     }
     for (what, folder) in folders {
         findings.add_checked(what, folder.map(|path| path.display().to_string()).map_err(Into::into));
+    }
+}
+
+/// Whether the Lab Streaming Layer could be used, where the session does not: that is said as its source.
+fn lsl(findings: &mut Findings, config: &Config) {
+    if config.acquisition.source == Source::Lsl {
+        return;
+    }
+    match checks::lsl(&config.acquisition.lsl) {
+        Ok(finding) => findings.add(Weight::Good, "LSL", &finding),
+        Err(error) if config.outlets.lsl => findings.add(Weight::Broken, "LSL", &format!("{error:#}")),
+        Err(error) => findings.add(Weight::Good, "LSL", &format!("not used here; {error:#}")),
     }
 }
 

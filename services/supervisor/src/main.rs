@@ -30,6 +30,7 @@ mod recorded;
 mod run;
 mod screen;
 mod session_outputs;
+mod sources;
 mod strategies;
 mod zones;
 
@@ -66,6 +67,8 @@ enum Command {
     Stop(order::Options),
     /// Permit the arm of a running session to move again, once the muscles have been at rest.
     Arm(order::Options),
+    /// List where samples can come from: streams on the network, and what is configured.
+    Sources(sources::Options),
     /// Keep a note in the recording of a running session.
     Note(note::Options),
     /// Compare two recorded sessions, such as one and its replay: what was recognised and decided, bit for bit.
@@ -121,6 +124,7 @@ fn main() -> ExitCode {
         Command::Latency(options) => latency::show(&options),
         Command::Stop(options) => order::give(&options, Order::Stop),
         Command::Arm(options) => order::give(&options, Order::Arm),
+        Command::Sources(options) => sources::list(&options),
         Command::Note(options) => note::leave(&options),
         Command::Compare(options) => recorded::compare(&options),
         Command::Doctor(options) => doctor::examine(&options),

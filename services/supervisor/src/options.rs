@@ -161,6 +161,9 @@ pub struct Options {
     /// The ONNX model of rest and move, with --strategy two_stage.
     #[arg(long, value_name = "FILE")]
     rest_move_model: Option<PathBuf>,
+    /// Give predictions, commands and markers as streams of the Lab Streaming Layer.
+    #[arg(long)]
+    lsl_out: bool,
     /// Real-time scheduling.
     #[arg(long, value_enum)]
     realtime: Option<Realtime>,
@@ -200,6 +203,7 @@ impl Options {
         if config.inference.adaptation != Adaptation::Off && config.decision.strategy != Strategy::Personal {
             return Err(ClassifierError::OnlyPersonsAdapt.into());
         }
+        config.outlets.lsl |= self.lsl_out;
         if let Some(realtime) = self.realtime {
             config.scheduling.realtime = realtime;
         }

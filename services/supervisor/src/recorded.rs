@@ -89,23 +89,19 @@ fn files(config: &Config) -> anyhow::Result<BTreeMap<String, PathBuf>> {
     Ok(rest_move.into_iter().chain([(MODEL.to_owned(), models.gestures)]).collect())
 }
 
-/// How a session is recorded: to `folder` from its beginning, or by key to where a user's own data are.
+/// How a session is recorded: to `folder` from its beginning, or by key only.
 ///
 /// # Errors
 ///
-/// When a model is missing, or there is no place for a user's data.
+/// When a model is missing.
 pub fn plan(
     config: &Config,
     folder: Option<&Path>,
     provenance: &Provenance,
 ) -> anyhow::Result<RecordingPlan> {
-    let from_the_beginning = folder.is_some();
-    let folder = match folder {
-        Some(folder) => std::path::absolute(folder).context("--record")?,
-        None => tendon_paths::data_folder()?.path().join("sessions"),
-    };
+    let folder = folder.map(std::path::absolute).transpose().context("--record")?;
     let start = RecordingStart { provenance: provenance.clone(), files: files(config)? };
-    Ok(RecordingPlan { folder, start, from_the_beginning })
+    Ok(RecordingPlan { folder, start })
 }
 
 /// Command line of `tendon compare`.

@@ -18,8 +18,8 @@ use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer, gesture_keys,
-    stop_on_signals,
+    Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer,
+    gesture_keys, stop_on_signals,
 };
 use tendon_session_file::RecordingReport;
 use tendon_transport::{Delivery, Leftovers, SessionLock};
@@ -35,6 +35,9 @@ use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, recorded, zones};
 const TICK: Duration = Duration::from_millis(50);
 /// The same with a task: the simulated user answers no later than a person would notice.
 const TASK_TICK: Duration = Duration::from_millis(20);
+
+/// The program that gives what a session decides to the Lab Streaming Layer.
+const LSL_OUTLET: &str = "tendon-lsl-outlet";
 
 /// Runs a session. However it ends, the files that were asked for are written; not with a configuration that makes no
 /// sense, because it may name one of them as an input.
@@ -123,6 +126,7 @@ fn run_configured(
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     known.configured(config)?;
+    checks::outlets(config).map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
     Leftovers::remove(&lock, &config.session);
@@ -157,12 +161,7 @@ fn run_locked(
     let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors)
         .map_err(Failure::input)?;
     let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
-    match plan {
-        Ok(plan) => watch.plan_recording(plan).map_err(Failure::input)?,
-        Err(error) if options.record.is_some() => return Err(Failure::input(error)),
-        // Nobody asked for it, and the key for it has no effect then.
-        Err(_) => {}
-    }
+    watch.plan_recording(plan.map_err(Failure::input)?).map_err(Failure::input)?;
     let watched = watch_until_the_end(&mut watch, options, config, &mut known.task, terminal);
     let (usage, stopped) = watch.stop(|state| {
         // What ends the task does not keep the session from ending.
@@ -190,6 +189,11 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
+    let mut outlet = if config.outlets.lsl {
+        Some(Companion::start(LSL_OUTLET, config, &terminal.errors).map_err(Failure::running)?)
+    } else {
+        None
+    };
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
@@ -206,6 +210,7 @@ fn watch_until_the_end(
             let Contraction { gesture, effort } = contraction;
             watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: effort as f32 });
         }
+        outlet.iter_mut().for_each(Companion::look);
         terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
         if turn == Turn::Over || is_over {

@@ -49,6 +49,11 @@ impl Config {
             self.robot.arm.check_for_real_arm().map_err(section("robot.arm"))?;
         }
         self.check_speed()?;
+        if self.outlets.lsl && self.delivery() == Delivery::Lossless {
+            let remedy =
+                "a replay at full speed would wait for who reads the streams: replay at the true pace";
+            return refuse("outlets.lsl", true, remedy);
+        }
         self.task.check().map_err(section("task"))
     }
 
@@ -80,6 +85,7 @@ impl Config {
             ("acquisition.program", &self.acquisition.program),
             ("acquisition.simulate.profile", &self.acquisition.simulate.profile),
             ("acquisition.replay.path", &self.acquisition.replay.path),
+            ("acquisition.lsl.library", &self.acquisition.lsl.library),
             ("acquisition.nidaqmx.library", &self.acquisition.nidaqmx.library),
             ("inference.model", &self.inference.model),
             ("inference.rest_move_model", &self.inference.rest_move_model),
@@ -164,8 +170,12 @@ impl Config {
             }
             self.check_channels("acquisition.replay.channels", acquisition.replay.channels.as_deref())?;
         }
+        acquisition.lsl.check().map_err(section("acquisition.lsl"))?;
         if acquisition.source == Source::Nidaqmx {
             acquisition.nidaqmx.check().map_err(section("acquisition.nidaqmx"))?;
+        }
+        if acquisition.source == Source::Otb {
+            acquisition.otb.amplifier(acquisition.sample_rate_hz).map_err(section("acquisition.otb"))?;
         }
         if acquisition.source.is_amplifier() {
             if acquisition.unit.as_ref().is_some_and(|unit| unit.trim().is_empty()) {

@@ -16,6 +16,6 @@ mod settings;
 
 pub use error::ConfigError;
 pub use settings::{
-    AcquisitionSettings, Backend, Config, Gestures, InferenceSettings, Pace, Realtime, ReplaySettings,
-    RobotSettings, SchedulingSettings, SimulateSettings, Source, XArmSettings,
+    AcquisitionSettings, Backend, Config, Gestures, InferenceSettings, OutletSettings, Pace, Realtime,
+    ReplaySettings, RobotSettings, SchedulingSettings, SimulateSettings, Source, XArmSettings,
 };

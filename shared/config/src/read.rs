@@ -31,6 +31,7 @@ impl Config {
         [
             &mut self.acquisition.program,
             &mut self.acquisition.replay.path,
+            &mut self.acquisition.lsl.library,
             &mut self.acquisition.nidaqmx.library,
             &mut self.inference.model,
             &mut self.inference.rest_move_model,
@@ -171,10 +172,13 @@ mod tests {
         config.acquisition.unit = Some("x".into());
         config.acquisition.simulate.profile = Some("x".into());
         config.acquisition.simulate.clip_at = Some(1.0);
+        config.acquisition.otb.address = Some(([127, 0, 0, 1], 1).into());
+        config.acquisition.otb.inputs = Some(8);
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.sample_rate_hz = Some(1.0);
         config.acquisition.replay.channels = Some(vec![]);
         config.acquisition.replay.repetition = Some(0);
+        config.acquisition.lsl.library = Some("x".into());
         config.acquisition.nidaqmx.library = Some("x".into());
         config.inference.model = Some("x".into());
         config.inference.rest_move_model = Some("x".into());

@@ -6,11 +6,15 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use tendon_arm::ArmSettings;
 use tendon_daqmx::NidaqmxSettings;
+use tendon_delsys::DelsysSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_gesture::DecisionSettings;
+use tendon_lsl::LslSettings;
+use tendon_otb::OtbSettings;
 use tendon_people::Adaptation;
 use tendon_recordings::{Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary};
 use tendon_signal::SignalSettings;
+use tendon_stream::StreamSettings;
 use tendon_transport::{Delivery, SessionName};
 use tendon_zones::TaskSettings;
 
@@ -37,6 +41,8 @@ pub struct Config {
     pub robot: RobotSettings,
     /// The target-zone task of `tendon run --task`.
     pub task: TaskSettings,
+    /// What is given to other programs.
+    pub outlets: OutletSettings,
     /// What is asked of the kernel's scheduler.
     pub scheduling: SchedulingSettings,
 }
@@ -51,6 +57,7 @@ impl Default for Config {
             decision: DecisionSettings::default(),
             robot: RobotSettings::default(),
             task: TaskSettings::default(),
+            outlets: OutletSettings::default(),
             scheduling: SchedulingSettings::default(),
         }
     }
@@ -64,8 +71,16 @@ pub enum Source {
     Simulate,
     /// A recording.
     Replay,
+    /// A stream of the Lab Streaming Layer.
+    Lsl,
     /// An NI device, through NI-DAQmx.
     Nidaqmx,
+    /// An amplifier of OT Bioelettronica.
+    Otb,
+    /// Delsys Trigno, over the vendor's server.
+    Delsys,
+    /// Any program that sends samples over TCP.
+    Stream,
     /// A device, which the program `acquisition.program` reads.
     Device,
 }
@@ -76,7 +91,11 @@ impl Source {
         match self {
             Source::Simulate => "simulate",
             Source::Replay => "replay",
+            Source::Lsl => "lsl",
             Source::Nidaqmx => "nidaqmx",
+            Source::Otb => "otb",
+            Source::Delsys => "delsys",
+            Source::Stream => "stream",
             Source::Device => "device",
         }
     }
@@ -86,7 +105,11 @@ impl Source {
     pub fn program(self) -> Option<&'static str> {
         match self {
             Source::Simulate | Source::Replay => Some("tendon-acquisition"),
+            Source::Lsl => Some("tendon-acquire-lsl"),
             Source::Nidaqmx => Some("tendon-acquire-daqmx"),
+            Source::Otb => Some("tendon-acquire-otb"),
+            Source::Delsys => Some("tendon-acquire-delsys"),
+            Source::Stream => Some("tendon-acquire-stream"),
             Source::Device => None,
         }
     }
@@ -119,8 +142,16 @@ pub struct AcquisitionSettings {
     pub simulate: SimulateSettings,
     /// The recording to replay.
     pub replay: ReplaySettings,
+    /// The stream of the Lab Streaming Layer.
+    pub lsl: LslSettings,
     /// The NI device.
     pub nidaqmx: NidaqmxSettings,
+    /// The amplifier of OT Bioelettronica.
+    pub otb: OtbSettings,
+    /// The server of Delsys Trigno.
+    pub delsys: DelsysSettings,
+    /// Where programs that send samples connect.
+    pub stream: StreamSettings,
 }
 
 impl Default for AcquisitionSettings {
@@ -135,7 +166,11 @@ impl Default for AcquisitionSettings {
             unit: None,
             simulate: SimulateSettings::default(),
             replay: ReplaySettings::default(),
+            lsl: LslSettings::default(),
             nidaqmx: NidaqmxSettings::default(),
+            otb: OtbSettings::default(),
+            delsys: DelsysSettings::default(),
+            stream: StreamSettings::default(),
         }
     }
 }
@@ -349,6 +384,14 @@ impl Default for RobotSettings {
     }
 }
 
+/// What a session gives to other programs.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OutletSettings {
+    /// Predictions, commands and markers as streams of the Lab Streaming Layer.
+    pub lsl: bool,
+}
+
 /// Whether real-time scheduling is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
@@ -554,7 +597,16 @@ mod tests {
 
     #[test]
     fn names_are_those_of_the_settings_file() {
-        for source in [Source::Simulate, Source::Replay, Source::Nidaqmx, Source::Device] {
+        for source in [
+            Source::Simulate,
+            Source::Replay,
+            Source::Lsl,
+            Source::Nidaqmx,
+            Source::Otb,
+            Source::Delsys,
+            Source::Stream,
+            Source::Device,
+        ] {
             assert_eq!(toml::Value::try_from(source).unwrap().as_str(), Some(source.name()));
         }
         for backend in [Backend::Simulate, Backend::XArm] {

@@ -1,5 +1,7 @@
 //! What each amplifier is told, and how its samples lie in the stream.
 
+use std::net::SocketAddr;
+
 use crate::{Quattrocento, Sessantaquattro};
 
 /// Nominal value of a count of the probes at gain 8, mV (286.1 nV).
@@ -33,7 +35,7 @@ pub enum Dialling {
     /// The computer dials in at the device.
     Computer {
         /// Where the device is, as it comes from the factory.
-        address: &'static str,
+        address: SocketAddr,
     },
 }
 
@@ -86,7 +88,9 @@ impl Amplifier {
         match self {
             Amplifier::Muovi | Amplifier::MuoviPlus => Dialling::Device { port: 54321 },
             Amplifier::Sessantaquattro(_) => Dialling::Device { port: 45454 },
-            Amplifier::Quattrocento(_) => Dialling::Computer { address: "169.254.1.10:23456" },
+            Amplifier::Quattrocento(_) => {
+                Dialling::Computer { address: SocketAddr::from(([169, 254, 1, 10], 23456)) }
+            }
         }
     }
 

@@ -2,39 +2,29 @@
 
 use crate::{ByteOrder, Layout};
 
-/// Longest loss that is believed, s. A larger jump of the counter means that the stream is out of step.
-const LONGEST_LOSS_S: f64 = 2.0;
+/// Longest loss that is believed, s. A larger jump of the counter means that the stream is out of step: a device that was
+/// silent for so long was connected anew before.
+const LONGEST_LOSS_S: f64 = 1.0;
 
 /// The stream does not hold what it should.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum DecodeError {
-    /// The counter jumped backwards or too far.
-    #[error(
-        "the device's counter jumped from {before} to {counter}: bytes were lost on the way, or the device sends other \
-         channels than the settings say"
-    )]
-    OutOfStep {
-        /// Of the instant before.
-        before: u16,
-        /// Of this instant.
-        counter: u16,
-    },
-    /// A channel was chosen that the amplifier does not have.
-    #[error("there is no EMG channel {channel}: the amplifier sends {emg_channels}, counted from 0")]
-    NoChannel {
-        /// Which.
-        channel: usize,
-        /// How many there are.
-        emg_channels: usize,
-    },
+#[error(
+    "the device's counter jumped from {before} to {counter}: bytes were lost on the way, or the device sends other channels \
+     than the settings say"
+)]
+pub struct OutOfStep {
+    /// Of the instant before.
+    pub before: u16,
+    /// Of this instant.
+    pub counter: u16,
 }
 
 /// Instants that follow one another without a loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Selected<'a> {
+pub struct Instants<'a> {
     /// Index of the first since the decoder was made, those that were lost included.
     pub first_sample: u64,
-    /// `[samples × chosen channels]`, mV.
+    /// `[samples × EMG channels]`, mV.
     pub instants_mv: &'a [f32],
 }
 
@@ -42,8 +32,6 @@ pub struct Selected<'a> {
 #[derive(Clone, Debug)]
 pub struct Decoder {
     layout: Layout,
-    /// EMG channels that are wanted, in this order.
-    chosen: Vec<usize>,
     /// Beginning of an instant whose rest has not come.
     torn: Vec<u8>,
     instants_mv: Vec<f32>,
@@ -53,24 +41,16 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// For the stream of an amplifier with this layout, of which the EMG channels `chosen` are wanted.
-    ///
-    /// # Errors
-    ///
-    /// [`DecodeError::NoChannel`].
-    pub fn new(layout: Layout, chosen: &[usize]) -> Result<Decoder, DecodeError> {
-        if let Some(&channel) = chosen.iter().find(|channel| **channel >= layout.emg_channels) {
-            return Err(DecodeError::NoChannel { channel, emg_channels: layout.emg_channels });
-        }
-        Ok(Decoder {
+    /// For the stream of an amplifier with this layout.
+    pub fn new(layout: Layout) -> Decoder {
+        Decoder {
             layout,
-            chosen: chosen.to_vec(),
             torn: Vec::with_capacity(layout.instant_bytes()),
             instants_mv: Vec::new(),
             counter_before: None,
             next_sample: 0,
             lost_samples: 0,
-        })
+        }
     }
 
     /// Instants that were lost so far.
@@ -82,8 +62,8 @@ impl Decoder {
     ///
     /// # Errors
     ///
-    /// [`DecodeError::OutOfStep`]: connect anew.
-    pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Selected<'_>)) -> Result<(), DecodeError> {
+    /// [`OutOfStep`]: connect anew.
+    pub fn push(&mut self, bytes: &[u8], mut take: impl FnMut(Instants<'_>)) -> Result<(), OutOfStep> {
         let length = self.layout.instant_bytes();
         let mut bytes = bytes;
         if !self.torn.is_empty() {
@@ -93,10 +73,10 @@ impl Decoder {
             if self.torn.len() < length {
                 return Ok(());
             }
-            let torn = std::mem::take(&mut self.torn);
+            let mut torn = std::mem::take(&mut self.torn);
             let decoded = self.decode(&torn, &mut take);
+            torn.clear();
             self.torn = torn;
-            self.torn.clear();
             decoded?;
         }
         let instants = bytes.chunks_exact(length);
@@ -108,12 +88,12 @@ impl Decoder {
         Ok(())
     }
 
-    fn decode(&mut self, instant: &[u8], take: &mut impl FnMut(Selected<'_>)) -> Result<(), DecodeError> {
+    fn decode(&mut self, instant: &[u8], take: &mut impl FnMut(Instants<'_>)) -> Result<(), OutOfStep> {
         let counter = self.sample(instant, self.layout.counter_channel) as u16;
         if let Some(before) = self.counter_before {
             let lost = u64::from(counter.wrapping_sub(before).wrapping_sub(1));
             if lost as f64 > LONGEST_LOSS_S * self.layout.rate_hz {
-                return Err(DecodeError::OutOfStep { before, counter });
+                return Err(OutOfStep { before, counter });
             }
             if lost > 0 {
                 self.hand_over(take);
@@ -122,8 +102,8 @@ impl Decoder {
             }
         }
         self.counter_before = Some(counter);
-        for index in 0..self.chosen.len() {
-            let counts = f64::from(self.sample(instant, self.chosen[index]));
+        for channel in 0..self.layout.emg_channels {
+            let counts = f64::from(self.sample(instant, channel));
             self.instants_mv.push((counts * self.layout.mv_per_count) as f32);
         }
         Ok(())
@@ -137,10 +117,10 @@ impl Decoder {
         }
     }
 
-    fn hand_over(&mut self, take: &mut impl FnMut(Selected<'_>)) {
-        let samples = self.instants_mv.len().checked_div(self.chosen.len()).unwrap_or(0);
+    fn hand_over(&mut self, take: &mut impl FnMut(Instants<'_>)) {
+        let samples = self.instants_mv.len() / self.layout.emg_channels;
         if samples > 0 {
-            take(Selected { first_sample: self.next_sample, instants_mv: &self.instants_mv });
+            take(Instants { first_sample: self.next_sample, instants_mv: &self.instants_mv });
             self.next_sample += samples as u64;
             self.instants_mv.clear();
         }
@@ -168,12 +148,14 @@ mod tests {
             .collect()
     }
 
-    fn decoder(chosen: &[usize]) -> Decoder {
-        Decoder::new(Amplifier::Muovi.layout(0), chosen).unwrap()
+    const CHANNELS: usize = 32;
+
+    fn decoder() -> Decoder {
+        Decoder::new(Amplifier::Muovi.layout(0))
     }
 
     /// First sample and samples of each run.
-    fn decode(decoder: &mut Decoder, bytes: &[u8]) -> Result<Vec<(u64, Vec<f32>)>, DecodeError> {
+    fn decode(decoder: &mut Decoder, bytes: &[u8]) -> Result<Vec<(u64, Vec<f32>)>, OutOfStep> {
         let mut runs = Vec::new();
         decoder.push(bytes, |run| runs.push((run.first_sample, run.instants_mv.to_vec())))?;
         Ok(runs)
@@ -184,7 +166,7 @@ mod tests {
         let mut bytes = vec![0x01, 0x00, 0xFF, 0xFE];
         bytes.extend([0; 70]);
         bytes.extend([0x00, 0x07]);
-        let runs = decode(&mut decoder(&[0, 1, 2]), &bytes).unwrap();
+        let runs = decode(&mut decoder(), &bytes).unwrap();
         let [(0, samples)] = &runs[..] else { panic!("{runs:?}") };
         assert!(
             (samples[0] - 0.073_241_6).abs() < 1e-6 && samples[1] < 0.0 && samples[2] == 0.0,
@@ -202,16 +184,16 @@ mod tests {
             (ByteOrder::Little, row.map(i16::to_le_bytes).concat()),
         ] {
             let layout = Layout { byte_order, mv_per_count: 1.0, ..layout };
-            let mut decoder = Decoder::new(layout, &[2, 0]).unwrap();
-            assert_eq!(decode(&mut decoder, &bytes).unwrap(), [(0, vec![-1.0, 7.0])]);
+            let mut decoder = Decoder::new(layout);
+            assert_eq!(decode(&mut decoder, &bytes).unwrap(), [(0, vec![7.0, -4.0, -1.0])]);
         }
     }
 
     #[test]
     fn lost_instants_are_counted_exactly_also_where_the_counter_wraps() {
-        let mut decoder = decoder(&[0]);
+        let mut decoder = decoder();
         let runs = decode(&mut decoder, &muovi((65_500..=65_535).chain(100..110).chain(115..117))).unwrap();
-        let places: Vec<_> = runs.iter().map(|(first, samples)| (*first, samples.len())).collect();
+        let places: Vec<_> = runs.iter().map(|(first, samples)| (*first, samples.len() / CHANNELS)).collect();
         assert_eq!(places, [(0, 36), (136, 10), (151, 2)]);
         assert_eq!(decoder.lost_samples(), 105);
     }
@@ -220,42 +202,36 @@ mod tests {
     fn a_counter_that_jumps_back_repeats_or_jumps_far_is_out_of_step() {
         for counters in [[5, 4], [5, 5], [5, 5000]] {
             assert_eq!(
-                decode(&mut decoder(&[0]), &muovi(counters)),
-                Err(DecodeError::OutOfStep { before: counters[0], counter: counters[1] })
+                decode(&mut decoder(), &muovi(counters)),
+                Err(OutOfStep { before: counters[0], counter: counters[1] })
             );
         }
-    }
-
-    #[test]
-    fn a_channel_that_the_amplifier_does_not_have_is_refused() {
-        let refused = Decoder::new(Amplifier::Muovi.layout(0), &[0, 32]).unwrap_err();
-        assert_eq!(refused, DecodeError::NoChannel { channel: 32, emg_channels: 32 });
     }
 
     proptest! {
         #[test]
         fn reads_of_any_length_give_the_same_samples(cuts in proptest::collection::vec(1_usize..300, 1..60)) {
             let bytes = muovi((0..50).chain(60..100));
-            let whole = decode(&mut decoder(&[0, 1]), &bytes).unwrap();
-            let mut torn = decoder(&[0, 1]);
+            let whole = decode(&mut decoder(), &bytes).unwrap();
+            let mut torn = decoder();
             let (mut left, mut samples) = (&bytes[..], Vec::new());
             for cut in cuts {
                 let (read, rest) = left.split_at(cut.min(left.len()));
                 left = rest;
                 for (first_sample, run) in decode(&mut torn, read).unwrap() {
-                    samples.extend(run.chunks(2).zip(first_sample..).map(|(instant, index)| (index, instant.to_vec())));
+                    samples.extend(run.chunks(CHANNELS).zip(first_sample..).map(|(instant, index)| (index, instant.to_vec())));
                 }
             }
             let all: Vec<_> = whole
                 .iter()
-                .flat_map(|(first, run)| run.chunks(2).zip(*first..).map(|(instant, index)| (index, instant.to_vec())))
+                .flat_map(|(first, run)| run.chunks(CHANNELS).zip(*first..).map(|(instant, index)| (index, instant.to_vec())))
                 .collect();
             prop_assert_eq!(&samples[..], &all[..samples.len()]);
         }
 
         #[test]
         fn any_bytes_are_taken_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..2000)) {
-            let _ = decode(&mut decoder(&[0, 31]), &bytes);
+            let _ = decode(&mut decoder(), &bytes);
         }
     }
 }

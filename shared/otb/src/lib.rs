@@ -19,11 +19,13 @@ mod crc;
 mod decoder;
 mod quattrocento;
 mod sessantaquattro;
+mod settings;
 mod width;
 
 pub use amplifier::{Amplifier, ByteOrder, Dialling, Layout};
 pub use crc::crc8;
-pub use decoder::{DecodeError, Decoder, Selected};
+pub use decoder::{Decoder, Instants, OutOfStep};
 pub use quattrocento::{Quattrocento, QuattrocentoError};
-pub use sessantaquattro::{Gain, Mode, Sessantaquattro, SessantaquattroError};
+pub use sessantaquattro::{Gain, GainError, Mode, Sessantaquattro, SessantaquattroError};
+pub use settings::{Device, OtbSettings, OtbSettingsError};
 pub use width::{WidthError, find_accessories, probe_bytes};

@@ -4,6 +4,8 @@
 //! byte 0   GET 7 | FSAMP 6..5 | NCH 4..3 | MODE 2..0        byte 1   HRES 7 | HPF 6 | GAIN 5..4 | TRIG 3..2 | REC 1 | GO 0
 //! ```
 
+use serde::{Deserialize, Serialize};
+
 use crate::amplifier::PROBE_MV_PER_COUNT;
 
 /// Rates that it has, Hz, by code.
@@ -14,7 +16,8 @@ const CHANNELS: [usize; 4] = [8, 16, 32, 64];
 const HIGH_PASS: u8 = 1 << 6;
 
 /// Against what a channel is measured.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Mode {
     /// Against the reference electrode.
     #[default]
@@ -24,7 +27,8 @@ pub enum Mode {
 }
 
 /// Gain of the input.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "u8", into = "u8")]
 pub enum Gain {
     /// 4.
     Four,
@@ -33,6 +37,37 @@ pub enum Gain {
     /// 8.
     #[default]
     Eight,
+}
+
+/// It has no such gain.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("a Sessantaquattro+ has no gain of {gain}: take 4, 6 or 8")]
+pub struct GainError {
+    /// What was asked for.
+    gain: u8,
+}
+
+impl TryFrom<u8> for Gain {
+    type Error = GainError;
+
+    fn try_from(gain: u8) -> Result<Gain, GainError> {
+        match gain {
+            4 => Ok(Gain::Four),
+            6 => Ok(Gain::Six),
+            8 => Ok(Gain::Eight),
+            gain => Err(GainError { gain }),
+        }
+    }
+}
+
+impl From<Gain> for u8 {
+    fn from(gain: Gain) -> u8 {
+        match gain {
+            Gain::Four => 4,
+            Gain::Six => 6,
+            Gain::Eight => 8,
+        }
+    }
 }
 
 impl Gain {
@@ -46,12 +81,7 @@ impl Gain {
 
     /// Value of a count, mV.
     pub fn mv_per_count(self) -> f64 {
-        let gain = match self {
-            Gain::Four => 4.0,
-            Gain::Six => 6.0,
-            Gain::Eight => 8.0,
-        };
-        PROBE_MV_PER_COUNT * 8.0 / gain
+        PROBE_MV_PER_COUNT * 8.0 / f64::from(u8::from(self))
     }
 }
 
@@ -156,6 +186,14 @@ mod tests {
         for (gain, sheet_nv) in [(Gain::Eight, 286.1), (Gain::Four, 572.2), (Gain::Six, 381.5)] {
             assert!((nv(gain) - sheet_nv).abs() < 0.05, "{gain:?}: {}", nv(gain));
         }
+    }
+
+    #[test]
+    fn gains_are_numbers_in_the_settings_and_others_are_refused() {
+        for gain in [Gain::Four, Gain::Six, Gain::Eight] {
+            assert_eq!(Gain::try_from(u8::from(gain)), Ok(gain));
+        }
+        assert!(Gain::try_from(5).unwrap_err().to_string().contains("4, 6 or 8"));
     }
 
     #[test]

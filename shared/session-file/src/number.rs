@@ -4,7 +4,8 @@ use serde::de::{Error, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// An `f32` in JSON. NaN is `null` (which NaN it was is lost), an infinity `"inf"` or `"-inf"`. Every other one reads back
-/// bit for bit: it is written with as many digits as tell it from its neighbours.
+/// bit for bit. It is written as the `f64` that it equals: readers go through an `f64`, and the shortest text of an `f32` may lie
+/// so near the middle between two of them that this rounds to the wrong one.
 #[derive(Clone, Copy, Debug)]
 pub struct Number(pub f32);
 
@@ -21,7 +22,7 @@ impl Serialize for Number {
             number if number.is_nan() => serializer.serialize_unit(),
             f32::INFINITY => serializer.serialize_str("inf"),
             f32::NEG_INFINITY => serializer.serialize_str("-inf"),
-            number => serializer.serialize_f32(number),
+            number => serializer.serialize_f64(number.into()),
         }
     }
 }

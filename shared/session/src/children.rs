@@ -23,6 +23,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::{AccessFlags, Pid, access};
 use tendon_config::Config;
 use tendon_messages::Stage;
+use tendon_paths::PathError;
 use tendon_process::{Order, Ready};
 
 use crate::recorder::{Recorder, RecordingPlan};
@@ -79,6 +80,9 @@ pub enum ChildrenError {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// There is no place for a recording.
+    #[error(transparent)]
+    NoFolder(#[from] PathError),
     /// The program of another source is not there.
     #[error("{}: the program that acquisition.program names was not found: check its path", program.display())]
     SourceMissing {
@@ -117,12 +121,12 @@ pub enum ChildrenError {
 /// The configuration that the stages read: in memory, sealed, under a descriptor that they inherit. There is no file that
 /// somebody else could put another in place of.
 #[derive(Debug)]
-struct SealedConfig {
+pub(crate) struct SealedConfig {
     memory: OwnedFd,
 }
 
 impl SealedConfig {
-    fn new(text: &str) -> std::io::Result<SealedConfig> {
+    pub(crate) fn new(text: &str) -> std::io::Result<SealedConfig> {
         // Not closed on exec: the stages inherit it.
         let memory = memfd_create("tendon-configuration", MFdFlags::MFD_ALLOW_SEALING)?;
         let mut file = File::from(memory);
@@ -134,7 +138,7 @@ impl SealedConfig {
     }
 
     /// Where a process that inherited the descriptor reads it from its beginning: proc(5).
-    fn path(&self) -> String {
+    pub(crate) fn path(&self) -> String {
         format!("/proc/self/fd/{}", self.memory.as_raw_fd())
     }
 }
@@ -181,6 +185,12 @@ impl Running {
     }
 }
 
+/// The folder of this program, in which those of Tendon lie.
+pub(crate) fn own_folder() -> Result<PathBuf, ChildrenError> {
+    let program = std::env::current_exe().map_err(ChildrenError::OwnFolder)?;
+    Ok(program.parent().map(ToOwned::to_owned).unwrap_or_default())
+}
+
 /// The program that acquires, if programs of Tendon lie in `folder`: the one that the configuration names, else the one of
 /// its source.
 fn source_program(config: &Config, folder: &Path) -> PathBuf {
@@ -219,8 +229,7 @@ impl Children {
         standard_error: &Writer,
     ) -> Result<Children, ChildrenError> {
         check_source_program(config)?;
-        let program = std::env::current_exe().map_err(ChildrenError::OwnFolder)?;
-        let folder = program.parent().map(ToOwned::to_owned).unwrap_or_default();
+        let folder = own_folder()?;
         let mut children = Children {
             acquisition: source_program(config, &folder),
             is_named: config.acquisition.program.is_some(),
@@ -296,12 +305,13 @@ impl Children {
     ///
     /// # Errors
     ///
-    /// [`ChildrenError::Start`] when it cannot be started.
+    /// [`ChildrenError::Start`] when it cannot be started, [`ChildrenError::NoFolder`] when there is no place for a recording.
     pub(crate) fn start_recorder(&self, plan: &RecordingPlan) -> Result<Recorder, ChildrenError> {
+        let folder = plan.folder()?;
         let program = self.folder.join(RECORDER_PROGRAM);
         let mut command = Command::new(&program);
         command.arg("--config").arg(self.config.path()).process_group(0);
-        Recorder::start(command, plan, &self.events, |errors| self.relay("recorder", errors))
+        Recorder::start(command, &folder, &plan.start, &self.events, |errors| self.relay("recorder", errors))
             .map_err(|source| ChildrenError::Start { program, source })
     }
 
@@ -491,6 +501,8 @@ mod tests {
         let mut config = Config::default();
         let folder = Path::new("/opt/tendon");
         assert_eq!(source_program(&config, folder), folder.join("tendon-acquisition"));
+        config.acquisition.source = tendon_config::Source::Lsl;
+        assert_eq!(source_program(&config, folder), folder.join("tendon-acquire-lsl"));
         config.acquisition.program = Some("/home/me/acquire".into());
         assert_eq!(source_program(&config, folder), Path::new("/home/me/acquire"));
     }

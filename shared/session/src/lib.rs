@@ -13,6 +13,7 @@
 mod acquisition;
 mod arm_stops;
 mod children;
+mod companion;
 mod failure;
 mod find;
 mod keys;
@@ -26,6 +27,7 @@ mod writer;
 pub use acquisition::{AcquisitionWatch, Heard};
 pub use arm_stops::{is_found_waiting, stop_words};
 pub use children::{ChildrenError, Event, RECORDER_PROGRAM, check_source_program};
+pub use companion::Companion;
 pub use failure::SessionFailure;
 pub use find::{BecomeOwnerError, become_owner};
 pub use keys::{Keyboard, KeyboardError, Keys, gesture_keys, stop_on_signals};

@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
+use tendon_paths::{PathError, data_folder};
 use tendon_session_file::{RecordingReport, RecordingStart, Said, Told};
 
 use crate::children::Event;
@@ -16,15 +17,27 @@ use crate::children::Event;
 /// How long the recorder may take to write what it still has before it is killed.
 const END_TIMEOUT: Duration = Duration::from_secs(10);
 
+/// Where recordings by key go, in the folder of the user's own data.
+const OWN_FOLDER: &str = "sessions";
+
 /// Whether and where a session is recorded.
 #[derive(Clone, Debug)]
 pub struct RecordingPlan {
-    /// Where each recording gets a folder of its own.
-    pub folder: PathBuf,
-    /// What each begins with.
+    /// Where each recording gets a folder of its own, from the beginning of the session on; `None`: only when somebody presses
+    /// the key, and then where the user's own data are.
+    pub folder: Option<PathBuf>,
+    /// What each recording begins with.
     pub start: RecordingStart,
-    /// Whether the session is recorded from its beginning; else when somebody presses the key.
-    pub from_the_beginning: bool,
+}
+
+impl RecordingPlan {
+    /// Where a recording goes that begins now.
+    pub(crate) fn folder(&self) -> Result<PathBuf, PathError> {
+        match &self.folder {
+            Some(folder) => Ok(folder.clone()),
+            None => Ok(data_folder()?.path().join(OWN_FOLDER)),
+        }
+    }
 }
 
 /// Something that the recorder said.
@@ -52,13 +65,14 @@ impl Recorder {
     /// Starts it by `command`. What it says also shows as [`Event::Recorder`]; `relay` passes on its standard error.
     pub(crate) fn start(
         mut command: Command,
-        plan: &RecordingPlan,
+        folder: &Path,
+        start: &RecordingStart,
         events: &Sender<Event>,
         relay: impl FnOnce(std::process::ChildStderr) -> std::io::Result<JoinHandle<String>>,
     ) -> std::io::Result<Recorder> {
         let mut process = command
             .arg("--folder")
-            .arg(&plan.folder)
+            .arg(folder)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -70,7 +84,7 @@ impl Recorder {
         let relay = relay(errors)?;
         let heard = hear(output, events.clone())?;
         let mut recorder = Recorder { process, told: Some(told), heard, relay, path: None, report: None };
-        recorder.tell(&Told::Start(Box::new(plan.start.clone())));
+        recorder.tell(&Told::Start(Box::new(start.clone())));
         if let Some(told) = &recorder.told {
             // From now on a recorder that hangs misses what it is told, and nobody waits for it.
             fcntl(told, FcntlArg::F_SETFL(OFlag::O_NONBLOCK))?;

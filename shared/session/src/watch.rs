@@ -151,7 +151,7 @@ impl<'a> Watch<'a> {
     ///
     /// [`ChildrenError::Start`] when the recorder cannot be started at once.
     pub fn plan_recording(&mut self, plan: RecordingPlan) -> Result<(), ChildrenError> {
-        if plan.from_the_beginning {
+        if plan.folder.is_some() {
             self.recorder = Some(self.children.start_recorder(&plan)?);
         }
         self.plan = Some(plan);
@@ -463,7 +463,7 @@ impl<'a> Watch<'a> {
 
     /// Whether the session is to be recorded from its beginning and the recorder is not ready.
     fn is_recorder_missing(&self) -> bool {
-        let is_wanted = self.plan.as_ref().is_some_and(|plan| plan.from_the_beginning);
+        let is_wanted = self.plan.as_ref().is_some_and(|plan| plan.folder.is_some());
         is_wanted && self.recorder.as_ref().is_none_or(|recorder| recorder.path().is_none())
     }
 

@@ -17,6 +17,8 @@ use crate::filter::FilterSettings;
 
 /// A channel that keeps one value for so long is flat, s. In 3DC no value lasts longer than 6 ms.
 const FLAT_S: f64 = 0.05;
+/// And for so many samples: an amplifier of few bits and a low rate shows a value several times in a row at rest.
+const FLAT_SAMPLES: f64 = 100.0;
 /// Until so long after a flat stretch the filter answers to the step at its end, s.
 const SETTLED_S: f64 = 0.5;
 /// Novelty of a flat channel.
@@ -115,7 +117,7 @@ impl ContactWatch {
             (turns < 0.5).then(|| 2.0 * (TAU * turns).cos())
         };
         ContactWatch {
-            flat_run: samples(FLAT_S).max(2.0) as usize,
+            flat_run: samples(FLAT_S).max(FLAT_SAMPLES) as usize,
             settled_samples: samples(SETTLED_S) as u64,
             channels: vec![Held { value: f32::NAN, run: 0, flat_until: 0 }; channels],
             faults: vec![None; channels],

@@ -42,6 +42,7 @@ pub fn acquire(
         sample_rate_hz: settings.sample_rate_hz,
         delivery: process.config.delivery(),
         next_sample: 0,
+        short: vec![0.0; settings.channels * settings.block_samples],
     };
     process.measurements.counts.clock_drift_ppm = f64::NAN;
     if acquisition.wait_for_start(process, source)? {
@@ -70,6 +71,8 @@ struct Acquisition {
     delivery: Delivery,
     /// Index of the sample that comes next if none is lost.
     next_sample: u64,
+    /// A short block on its way from one loan to another.
+    short: Vec<f32>,
 }
 
 impl Acquisition {
@@ -101,7 +104,7 @@ impl Acquisition {
             let written = &loan.payload_mut()[..self.channels * block.samples];
             let non_finite = written.iter().filter(|sample| !sample.is_finite()).count();
             if block.samples < self.block_samples {
-                loan = self.shortened(&mut loan, block.samples)?;
+                loan = self.shortened(loan, block.samples)?;
             }
             if block.publish_at_ns > 0 && !wait_until(process, source, block.publish_at_ns)? {
                 break;
@@ -119,13 +122,16 @@ impl Acquisition {
     /// A loan that holds just the `samples` of each channel at the beginning of `loan`.
     fn shortened(
         &mut self,
-        loan: &mut Loan<BlockHeader, f32>,
+        mut loan: Loan<BlockHeader, f32>,
         samples: usize,
     ) -> Result<Loan<BlockHeader, f32>, PublishError> {
-        let length = self.channels * samples;
-        let mut short = self.blocks.loan(length)?;
-        short.payload_mut().copy_from_slice(&loan.payload_mut()[..length]);
-        Ok(short)
+        let short = &mut self.short[..self.channels * samples];
+        short.copy_from_slice(&loan.payload_mut()[..short.len()]);
+        // There is one loan at a time.
+        drop(loan);
+        let mut loan = self.blocks.loan(short.len())?;
+        loan.payload_mut().copy_from_slice(short);
+        Ok(loan)
     }
 
     /// Publishes a block, unless it is too late to act upon.
@@ -173,6 +179,11 @@ fn wait(process: &mut StageProcess, source: &mut dyn Source) -> Result<bool, Pro
             Wait::Until(deadline_ns) => process.control.wait(None, Some(deadline_ns))?,
             Wait::Readable(descriptor) => {
                 process.control.wait(Some(descriptor), process.measurements.deadline_ns())?
+            }
+            Wait::ReadableUntil(descriptor, deadline_ns) => {
+                let earliest_ns =
+                    process.measurements.deadline_ns().map_or(deadline_ns, |due| due.min(deadline_ns));
+                process.control.wait(Some(descriptor), Some(earliest_ns))?
             }
         };
         match wake {

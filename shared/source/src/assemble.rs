@@ -106,6 +106,11 @@ impl BlockAssembler {
         Some(Block { first_sample, samples, captured_ns, publish_at_ns: 0, truth: Truth::default() })
     }
 
+    /// Whether the next block is complete.
+    pub fn has_block(&self) -> bool {
+        self.next_samples().is_some()
+    }
+
     /// Forgets what waits: the device began anew.
     pub fn clear(&mut self) {
         self.instants.clear();

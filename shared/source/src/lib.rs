@@ -45,6 +45,8 @@ pub enum Wait<'a> {
     Until(u64),
     /// This descriptor becomes readable.
     Readable(BorrowedFd<'a>),
+    /// The same, or this time comes, CLOCK_MONOTONIC ns.
+    ReadableUntil(BorrowedFd<'a>, u64),
 }
 
 /// A block that was written.
