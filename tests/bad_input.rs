@@ -211,7 +211,7 @@ fn a_session_that_is_in_use() {
     let mut first = TendonBuilder::run(&session).start();
     first.wait_until_running();
     let second = TendonBuilder::run(&session).start().end_whatever_is_left();
-    let parts = ["is in use by process", &first.id().to_string(), "choose another name with --session"];
+    let parts = ["is in use by process", &first.id().to_string(), "choose another name (--set session=NAME)"];
     second.assert_failed(2, &parts);
     // The first one did not notice.
     first.signal(Signal::SIGINT);
