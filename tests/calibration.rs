@@ -138,7 +138,9 @@ fn a_new_calibration_may_have_other_gestures_and_a_redo_adds_to_what_the_person_
     calibrate(&["--replace"]).end().assert_failed(2, &["`anna` is being calibrated by another process"]);
     kill(broken_off.stage("acquisition"), Signal::SIGKILL).unwrap();
     let remedy = format!("tendon calibrate anna --from {} --replace", broken_off_folder.display());
-    broken_off.end().assert_failed(1, &["acquisition", &remedy]);
+    let broken_off = broken_off.end();
+    broken_off.assert_failed(1, &["acquisition ended"]);
+    broken_off.assert_failed(1, &[&remedy]);
     let redone = calibrate(&["--redo", "flexion"]).end();
     assert_done(&redone);
     assert!(redone.output.contains("anna: 3 gestures"), "{redone:#?}");

@@ -505,3 +505,23 @@ fn samples_that_are_no_numbers_are_replaced_counted_and_taken_for_rest() {
     Leftovers::remove(&lock, &name);
     assert_nothing_left(&name);
 }
+
+#[test]
+fn with_a_network_an_electrode_that_is_off_is_no_rest_that_lets_the_arm_move() {
+    let session = unique_session();
+    let mut tendon = TendonBuilder::run_with_model(&session, &model("cnn-six-class"))
+        .args(&["--strategy", "direct", "--script", "rest 1s, ulnar 1s"])
+        .args(&["--set", "acquisition.simulate.dropouts_per_minute=6000"])
+        .args(&["--set", "acquisition.simulate.dropout_ms=100000"])
+        .start();
+    tendon.wait_until_running();
+    let mut observer = Observer::join(&session);
+    // With all electrodes on, the arm follows after the first second.
+    observer.look_on_until("50 commands", |observer| observer.commands_seen.len() >= 50);
+    assert!(!observer.followed);
+    drop(observer);
+    tendon.signal(Signal::SIGTERM);
+    let ended = tendon.end();
+    assert!(ended.errors.contains("is flat: check the electrodes"), "{ended:#?}");
+    ended.report();
+}

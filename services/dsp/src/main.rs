@@ -1,5 +1,7 @@
 //! The dsp process: blocks in, filtered windows out. The work itself is `tendon_signal::SignalChain`.
 
+mod electrodes;
+
 use std::process::ExitCode;
 
 use anyhow::ensure;
@@ -11,6 +13,8 @@ use tendon_process::{Consumer, StageProcess};
 use tendon_session_file::{Head, ReplayMarks, is_session_file};
 use tendon_signal::{DesignError, SignalChain};
 use tendon_transport::{Publisher, Received, Subscriber};
+
+use electrodes::Electrodes;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Dsp, |process| {
@@ -36,6 +40,7 @@ fn main() -> ExitCode {
             },
             next_sample: None,
             calibrated: false,
+            electrodes: Electrodes::new(acquisition.channels, acquisition.sample_rate_hz),
         };
         let blocks = Subscriber::open(&process.session, &BLOCKS, Some(Stage::Dsp), delivery)?;
         process.connect(&blocks)?;
@@ -80,6 +85,7 @@ struct Dsp {
     /// Index of the sample that comes next if none is missing.
     next_sample: Option<u64>,
     calibrated: bool,
+    electrodes: Electrodes,
 }
 
 /// Where windows go.
@@ -132,10 +138,13 @@ impl Consumer<BlockHeader, f32> for Dsp {
         }
         self.next_sample = Some(header.first_sample + samples as u64);
 
-        let Dsp { chain, output, .. } = self;
+        let Dsp { chain, output, electrodes, .. } = self;
         let mut published_ns = None;
         let replaced_samples = chain.push_block(block.payload(), |chain, window, end| {
             published_ns = output.publish(process, block, chain, &window, end)?.or(published_ns);
+            if let Some(warning) = electrodes.look(window.first_sample, chain.faults()) {
+                tracing::warn!("{warning}");
+            }
             anyhow::Ok(())
         })?;
         process.measurements.counts.replaced_samples += u64::from(replaced_samples);

@@ -28,6 +28,7 @@ use tendon_people::{
 };
 use tendon_provenance::Provenance;
 use tendon_recordings::{Channel, RecordedSession};
+use tendon_signal::canonical_unit;
 
 use crate::Failure;
 use crate::channels::{channels_or_default, named_by_recordings};
@@ -70,7 +71,7 @@ pub struct Options {
     /// Sampling rate of recordings that do not state it, Hz.
     #[arg(long, value_name = "HZ", requires = "from")]
     recording_rate_hz: Option<f64>,
-    /// Unit of recordings that do not state it: adc_counts, uV, mV or V. A session of another unit is refused.
+    /// Unit of recordings that do not state it: V, mV, uV, nV or adc_counts. A session of another unit is refused.
     #[arg(long, value_name = "UNIT", value_parser = unit, requires = "from")]
     unit: Option<String>,
     #[command(flatten)]
@@ -206,9 +207,9 @@ fn settings_of(
     Ok((settings, recorded))
 }
 
-/// The unit of the recordings, as they say themselves or the option does; empty if nobody does.
+/// The unit of the recordings in its canonical spelling, as they say themselves or the option does; empty if nobody does.
 fn unit_of(options: &Options, recorded: Option<&RecordedSession>) -> anyhow::Result<String> {
-    let own = recorded.map_or("", |recorded| &recorded.unit);
+    let own = recorded.map_or("", |recorded| canonical_unit(&recorded.unit));
     let Some(unit) = &options.unit else { return Ok(own.to_owned()) };
     ensure!(
         own.is_empty() || own == unit,

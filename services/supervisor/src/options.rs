@@ -17,6 +17,7 @@ use tendon_gesture::Strategy;
 use tendon_people::Person;
 use tendon_recordings::Channel;
 use tendon_session_file::is_session_file;
+use tendon_signal::{canonical_unit, known_units};
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
@@ -373,18 +374,16 @@ fn finish(mut config: Config) -> anyhow::Result<Config> {
     Ok(config)
 }
 
-/// Units that samples can be in, as the simulated amplifier and recordings spell them; `adc_counts` are the numbers of an
-/// analogue-to-digital converter.
-const UNITS: [&str; 4] = ["adc_counts", "uV", "mV", "V"];
-
-/// A unit of samples.
+/// A unit of samples, in its canonical spelling.
 ///
 /// # Errors
 ///
 /// When it is none.
 pub fn unit(text: &str) -> anyhow::Result<String> {
-    let known = UNITS.into_iter().find(|unit| *unit == text);
-    known.map(str::to_owned).ok_or_else(|| anyhow!("take one of {}", UNITS.join(", ")))
+    let canonical = canonical_unit(text);
+    let known: Vec<&str> = known_units().collect();
+    ensure!(known.contains(&canonical), "take one of {}", known.join(", "));
+    Ok(canonical.to_owned())
 }
 
 /// A channel by number, or by the name that the header of a table gives it.
@@ -439,9 +438,10 @@ mod tests {
     }
 
     #[test]
-    fn a_unit_has_one_spelling_and_a_named_channel_may_have_a_number() {
-        assert_eq!(unit("mV").unwrap(), "mV");
-        assert_eq!(unit("MV").unwrap_err().to_string(), "take one of adc_counts, uV, mV, V");
+    fn a_unit_is_kept_in_one_spelling_and_a_named_channel_may_have_a_number() {
+        assert_eq!(unit("microvolts").unwrap(), "uV");
+        assert_eq!(unit("ADC counts").unwrap(), "adc_counts");
+        assert_eq!(unit("furlongs").unwrap_err().to_string(), "take one of V, mV, uV, nV, adc_counts");
         assert_eq!(named_channel(" 3 ").unwrap(), Channel::Index(3));
         assert_eq!(named_channel("flexor").unwrap(), Channel::from("flexor"));
         named_channel("").unwrap_err();

@@ -11,7 +11,7 @@ use tendon_gesture::{Gesture, GestureSet, Strategy};
 use tendon_people::{People, Person, PersonName, SignalOffer};
 use tendon_process::SignalDescription;
 use tendon_recordings::{Channel, RecordedSession};
-use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings};
+use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings, canonical_unit};
 
 use crate::options::Base;
 
@@ -300,7 +300,9 @@ pub fn check_signal(config: &Config, signal: &SignalDescription) -> anyhow::Resu
         signal.channels.join(", ")
     );
     ensure!(
-        own.unit.is_empty() || signal.unit.is_empty() || own.unit == signal.unit,
+        own.unit.is_empty()
+            || signal.unit.is_empty()
+            || canonical_unit(&own.unit) == canonical_unit(&signal.unit),
         "{}: {} was calibrated in {}, and the source has {}: set acquisition.unit, or calibrate again",
         file.display(),
         person.name,

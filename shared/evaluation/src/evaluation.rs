@@ -42,7 +42,7 @@ pub struct Evaluation {
     /// Accuracy of each person.
     pub per_person: BTreeMap<PersonId, Group>,
     /// How much people differ.
-    pub people: Spread,
+    pub people_spread: Spread,
     /// Accuracy of each repetition, by number.
     pub per_repetition: BTreeMap<u8, Group>,
     /// How much repetitions differ.
@@ -131,7 +131,7 @@ impl Evaluation {
                 windows,
             }),
             per_person: people.clone(),
-            people: Spread::of_groups(people.values()),
+            people_spread: Spread::of_groups(people.values()),
             per_repetition: repetitions.clone(),
             repetitions: Spread::of_groups(repetitions.values()),
             work: LatencySummary::of(work),
@@ -180,7 +180,7 @@ impl Display for Evaluation {
         for (person, group) in &self.per_person {
             writeln!(out, "person {person:<11}{:>10.4}{:>30}", group.accuracy, group.windows)?;
         }
-        write_spread(out, "people", &self.people)?;
+        write_spread(out, "people", &self.people_spread)?;
         for (repetition, group) in &self.per_repetition {
             writeln!(out, "repetition {repetition:<7}{:>10.4}{:>30}", group.accuracy, group.windows)?;
         }

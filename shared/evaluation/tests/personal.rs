@@ -151,7 +151,11 @@ fn two_people_whom_tendon_recorded_are_scored_as_two_and_each_without_their_own_
     let (scores, _) = score_people(&paths, &settings, &[], None, &mut |_, _| {}).unwrap();
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
     assert_eq!((people, scores.prior_people), (vec!["anna".to_owned(), "ben".to_owned()], 1));
-    let json = serde_json::to_value(&scores).unwrap();
+    let text = serde_json::to_string(&scores).unwrap();
+    assert_eq!(text.matches("\"people\":").count(), 1, "{text}");
+    let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(json["people"], serde_json::json!(["anna", "ben"]));
+    assert!(json["people_spread"]["mean"].as_f64() > Some(0.5), "{json}");
     assert!(json["per_person"]["anna"].is_object() && json["per_person"]["ben"].is_object(), "{json}");
     let (scores, _) =
         score_people(&paths, &settings, &["ben".parse().unwrap()], None, &mut |_, _| {}).unwrap();
@@ -250,6 +254,6 @@ fn real_people_are_well_recognised_after_one_repetition() {
     };
     let settings = PersonalSettings { dataset, method: MethodSettings::default(), repetitions: 1 };
     let (scores, _) = score_people(&paths, &settings, &[], None, &mut |_, _| {}).unwrap();
-    assert!(scores.evaluation.people.mean > 0.92, "{}", scores.evaluation);
+    assert!(scores.evaluation.people_spread.mean > 0.92, "{}", scores.evaluation);
     assert!(scores.longest_fit_s < 60.0);
 }

@@ -47,12 +47,18 @@ struct Recorder {
     table: String,
     samples: usize,
     random: u32,
+    /// The newest values of each channel.
+    newest: [[f64; 3]; 4],
 }
 
 impl Recorder {
-    fn noise(&mut self) -> f64 {
+    /// White noise would be that of an electrode which is off: muscles are smoother, so each value is a mean of three.
+    fn noise(&mut self, channel: usize) -> f64 {
         self.random = self.random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        f64::from(self.random >> 8) / f64::from(1 << 24) - 0.5
+        let newest = &mut self.newest[channel];
+        newest.rotate_right(1);
+        newest[0] = f64::from(self.random >> 8) / f64::from(1 << 24) - 0.5;
+        newest.iter().sum::<f64>() / 3.0
     }
 
     fn make(&mut self, gesture: Gesture, samples: usize) {
@@ -61,7 +67,7 @@ impl Recorder {
             let line: Vec<String> = (0..4)
                 .map(|channel| {
                     let strong = if number == 0 { 0.0 } else { ((number * (channel + 2)) % 7) as f64 };
-                    format!("{:.3}", (1.0 + 4.0 * strong) * self.noise())
+                    format!("{:.3}", (1.0 + 4.0 * strong) * self.noise(channel))
                 })
                 .collect();
             self.table += &line.join(",");
@@ -73,7 +79,8 @@ impl Recorder {
 
 /// Writes a session of a person into `folder`: a file with `repetitions` of rest and the five gestures.
 fn record(folder: &Path, labels: &mut String, person: u16, session: u32, repetitions: u32) {
-    let mut recorder = Recorder { table: String::new(), samples: 0, random: 7 * u32::from(person) + session };
+    let random = 7 * u32::from(person) + session;
+    let mut recorder = Recorder { table: String::new(), samples: 0, random, newest: [[0.0; 3]; 4] };
     let file = format!("{person}-{session}.csv");
     for repetition in 0..repetitions {
         for gesture in Gesture::PAPER {

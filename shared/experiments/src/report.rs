@@ -492,7 +492,7 @@ fn own_line(source: &str, runs: &[Scores]) -> String {
     if let Some(accuracy) = first.validation_accuracy {
         line += &format!(", validation accuracy {accuracy:.4}");
     }
-    let people = &first.evaluation.people;
+    let people = &first.evaluation.people_spread;
     line += &format!(", by person {:.4} to {:.4}", people.min, people.max);
     if let Some(pair) = &first.evaluation.most_confused {
         line += &format!(

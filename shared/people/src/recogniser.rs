@@ -13,7 +13,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use tendon_features::{Discriminant, FeatureError, FitError, LaggedLogCovariance, SlowAdaptation};
-use tendon_signal::FilterSettings;
+use tendon_signal::{FilterSettings, canonical_unit};
 
 use crate::effort::{EffortRange, rms_of_channels};
 use crate::person::{Person, SignalFit};
@@ -248,7 +248,12 @@ impl Person {
         );
         // A unit that nobody knows cannot be compared.
         let is_known = !unit.is_empty() && !offer.unit.is_empty();
-        compare("unit", !is_known || is_same_unit(unit, offer.unit), unit.clone(), offer.unit.to_owned());
+        compare(
+            "unit",
+            !is_known || canonical_unit(unit) == canonical_unit(offer.unit),
+            unit.clone(),
+            offer.unit.to_owned(),
+        );
         let samples = |samples: &usize| format!("{samples} samples");
         compare(
             "window",
@@ -263,15 +268,6 @@ impl Person {
         }
         differences
     }
-}
-
-/// Whether two names mean the same unit: `ADC counts` of a model is `adc_counts` of a recording. Letters alone tell V from mV,
-/// and their case says nothing.
-fn is_same_unit(one: &str, other: &str) -> bool {
-    let letters = |unit: &str| -> String {
-        unit.chars().filter(|char| char.is_alphanumeric()).flat_map(char::to_lowercase).collect()
-    };
-    letters(one) == letters(other)
 }
 
 /// Every setting of a filter in words.

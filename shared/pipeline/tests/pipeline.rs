@@ -80,6 +80,58 @@ fn decisions_depend_neither_on_the_block_nor_on_what_was_before_a_restart() {
     }
 }
 
+/// A simulated person who rests until 6 s, extends until 8 s, rests until 9 s and flexes until 11 s.
+fn moving_person() -> (SimulatedEmg, Performance) {
+    let simulation = SimulationSettings { channels: CHANNELS, sample_rate_hz: RATE_HZ, ..Default::default() };
+    let emg = SimulatedEmg::new(&Profile::default(), &simulation).unwrap();
+    let script = "rest 6s, extension 2s, rest 1s, flexion 2s, rest 1s".parse().unwrap();
+    let contraction = ContractionSettings::default();
+    let performance = Performance::of_script(emg.gestures(), script, Repeat::Forever, contraction, RATE_HZ);
+    (emg, performance)
+}
+
+#[test]
+fn an_electrode_that_comes_off_moves_nothing_and_is_no_rest() {
+    let Some(library) = library() else { return };
+    let mut pipeline = pipeline(&library);
+    let hum = |at: u64| (400.0 * (std::f64::consts::TAU * 50.0 * at as f64 / RATE_HZ).sin()) as f32;
+    let disturbances: [(&str, &dyn Fn(u64) -> f32); 3] =
+        [("at zero", &|_| 0.0), ("at the end of the range", &|_| 8191.0), ("hum", &hum)];
+    for (name, disturbance) in disturbances {
+        for channels in [1, CHANNELS] {
+            // From the start; before and during a gesture; during a gesture that is held.
+            for [begin_s, end_s] in [[0.0, 12.0], [5.5, 9.0], [7.0, 12.0]] {
+                pipeline.restart().unwrap();
+                let (mut emg, mut performance) = moving_person();
+                let mut block = vec![0.0; CHANNELS * 10];
+                let (mut moved, mut looked) = (false, 0);
+                for first in (0..24_000_u64).step_by(10) {
+                    emg.fill_block(&mut performance, &mut block);
+                    if (begin_s..end_s).contains(&(first as f64 / RATE_HZ)) {
+                        for channel in block.chunks_exact_mut(10).take(channels) {
+                            (first..).zip(channel).for_each(|(at, sample)| *sample = disturbance(at));
+                        }
+                    }
+                    let look = |step: tendon_pipeline::Step<'_>| {
+                        let newest_s = (step.window.first_sample + 600) as f64 / RATE_HZ;
+                        let place = format!("{name}, {channels} channels, from {begin_s} s, at {newest_s} s");
+                        moved |= step.decision.voted != Gesture::REST;
+                        // The window is mostly disturbed, and the vote has had two windows more.
+                        if (begin_s + 0.45..end_s).contains(&newest_s) {
+                            looked += 1;
+                            assert!(step.decision.is_unsure, "{place}");
+                            assert_eq!(step.decision.voted, Gesture::REST, "{place}");
+                        }
+                    };
+                    pipeline.push(&block, look).unwrap();
+                }
+                // The comparison says something only if the person moves without the disturbance.
+                assert!(looked > 30 && moved == (begin_s > 0.0), "{name}, {channels} channels, {begin_s} s");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_model_that_does_not_fit_the_settings_is_refused() {
     let Some(library) = library() else { return };

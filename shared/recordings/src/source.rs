@@ -74,11 +74,12 @@ impl Text {
     fn open(path: &Path) -> Result<(Text, Option<Notice>), RecordingError> {
         let file = MappedFile::open(path).map_err(RecordingError::open(path))?;
         let bytes = file.bytes();
-        let length = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |newline| newline + 1);
-        if length == bytes.len() || !is_recorded(path) {
+        // Only of these the end is looked for: a file of somebody else's may be of any size, without a line.
+        if bytes.ends_with(b"\n") || !is_recorded(path) {
             let length = bytes.len();
             return Ok((Text { file, length }, None));
         }
+        let length = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |newline| newline + 1);
         let newlines = bytes[..length].iter().filter(|byte| **byte == b'\n').count() as u64;
         // The first line has the names of the channels.
         let notice = Notice::CutShort { file: path.to_owned(), lines: newlines.saturating_sub(1) };

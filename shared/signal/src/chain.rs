@@ -10,7 +10,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::activity::{Activity, ActivityDetector, ActivitySettings, Baseline};
-use crate::contact::ContactWatch;
+use crate::contact::{ContactWatch, Fault};
 use crate::envelope::{DEFAULT_ENVELOPE_MS, Envelope};
 use crate::error::DesignError;
 use crate::filter::{EmgFilter, FilterSettings, is_usable};
@@ -143,6 +143,11 @@ impl SignalChain {
     /// What calibration measured of each channel at rest; `None` until it is over.
     pub fn baselines(&self) -> Option<&[Baseline]> {
         self.activity.baselines()
+    }
+
+    /// What is wrong with each channel in the newest window, if anything: an electrode that is off, or picks something up.
+    pub fn faults(&self) -> &[Option<Fault>] {
+        self.contact.faults()
     }
 
     /// Takes over what the activity detector of `other`, a chain of the same settings, has measured. At rest.

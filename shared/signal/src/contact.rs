@@ -10,12 +10,15 @@
 //! them of rest, are beyond one.
 
 use std::f64::consts::TAU;
+use std::fmt;
 
 use crate::activity::Baseline;
 use crate::filter::FilterSettings;
 
 /// A channel that keeps one value for so long is flat, s. In 3DC no value lasts longer than 6 ms.
 const FLAT_S: f64 = 0.05;
+/// And for so many samples: an amplifier of few bits and a low rate shows a value several times in a row at rest.
+const FLAT_SAMPLES: f64 = 100.0;
 /// Until so long after a flat stretch the filter answers to the step at its end, s.
 const SETTLED_S: f64 = 0.5;
 /// Novelty of a flat channel.
@@ -37,12 +40,38 @@ const WHITE: f64 = 0.8;
 /// Upper edge of the band below which muscles look as white as noise, Hz.
 const LOWEST_EDGE_HZ: f64 = 400.0;
 
+/// How a channel is unlike muscles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// It keeps one value, or did so just before.
+    Flat,
+    /// It is far weaker than the session's rest.
+    Silent,
+    /// It is hum of the mains.
+    Hum,
+    /// It is white noise.
+    Noise,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Fault::Flat => "flat",
+            Fault::Silent => "silent",
+            Fault::Hum => "hum",
+            Fault::Noise => "noise",
+        })
+    }
+}
+
 /// Watches all channels of a session. Allocates nothing once constructed.
 #[derive(Clone, Debug)]
 pub(crate) struct ContactWatch {
     flat_run: usize,
     settled_samples: u64,
     channels: Vec<Held>,
+    /// What is wrong with each channel in the newest window.
+    faults: Vec<Option<Fault>>,
     /// Hann window, as long as a window of samples.
     taper: Vec<f64>,
     /// 2 cos(2π f / rate) of each line; `None` where it is beyond half the rate.
@@ -88,9 +117,10 @@ impl ContactWatch {
             (turns < 0.5).then(|| 2.0 * (TAU * turns).cos())
         };
         ContactWatch {
-            flat_run: samples(FLAT_S).max(2.0) as usize,
+            flat_run: samples(FLAT_S).max(FLAT_SAMPLES) as usize,
             settled_samples: samples(SETTLED_S) as u64,
             channels: vec![Held { value: f32::NAN, run: 0, flat_until: 0 }; channels],
+            faults: vec![None; channels],
             taper: (0..window_samples).map(hann).collect(),
             lines: MAINS_HZ.map(|mains_hz| std::array::from_fn(|index| line(mains_hz, index + 1))),
             noise_roughness: white_roughness(filter, sample_rate_hz).map(|roughness| WHITE * roughness),
@@ -113,29 +143,42 @@ impl ContactWatch {
     /// sample `first_sample`; each channel comes in two parts, the older one first, and `rest` says how strong the
     /// session's rest is, once it was measured.
     pub(crate) fn novelty<'a>(
-        &self,
+        &mut self,
         first_sample: u64,
         window: impl Iterator<Item = [&'a [f32]; 2]>,
         rest: Option<&[Baseline]>,
     ) -> f32 {
         let mut novelty = 0.0_f64;
-        for (channel, (held, parts)) in self.channels.iter().zip(window).enumerate() {
-            if first_sample < held.flat_until {
-                novelty = novelty.max(FLAT);
-            }
+        for (channel, parts) in window.enumerate() {
+            let is_flat = first_sample < self.channels[channel].flat_until;
             let rest = rest.and_then(|rest| rest.get(channel)).map(|baseline| f64::from(baseline.median));
-            novelty = novelty.max(self.judge(&self.shape(parts), rest));
+            let [silence, hum, noise] = self.judge(&self.shape(parts), rest);
+            // What is flat is silent, too: the first one that is beyond its limit names the fault.
+            let causes = [
+                (Fault::Flat, if is_flat { FLAT } else { 0.0 }),
+                (Fault::Silent, silence),
+                (Fault::Hum, hum),
+                (Fault::Noise, noise),
+            ];
+            self.faults[channel] = causes.iter().find(|(_, value)| *value > 1.0).map(|(fault, _)| *fault);
+            // A maximum leaves out what is no number, as of a channel that was flat at rest and still is.
+            novelty = causes.iter().fold(novelty, |most, (_, value)| most.max(*value));
         }
         novelty as f32
     }
 
-    fn judge(&self, shape: &Shape, rest: Option<f64>) -> f64 {
+    /// What is wrong with each channel in the newest window.
+    pub(crate) fn faults(&self) -> &[Option<Fault>] {
+        &self.faults
+    }
+
+    /// How silent a channel is, how much it is hum, and how much noise: above 1, more than muscles are.
+    fn judge(&self, shape: &Shape, rest: Option<f64>) -> [f64; 3] {
         let loudness = rest.map_or(0.0, |rest| shape.rms / (LOUD * rest));
         let silence = rest.map_or(0.0, |rest| rest / (SILENT * shape.rms));
         let hum = (shape.mains_share / HUM).min(loudness).max(shape.mains_share / NOTHING_BUT_HUM);
         let noise = self.noise_roughness.map_or(0.0, |limit| (shape.roughness / limit).min(loudness));
-        // A maximum leaves out what is no number, as of a channel that was flat at rest and still is.
-        silence.max(hum).max(noise)
+        [silence, hum, noise]
     }
 
     /// Goertzel's algorithm for all lines at once, and the powers beside.
@@ -240,10 +283,15 @@ mod tests {
 
     /// Novelty and first sample of each window of 12 s on four channels. `level` is how strong the muscles are at a time
     /// in s, over rest; `disturb` gives what the channel shows at a sample instead of what the muscles do.
-    fn windows(
+    fn windows(level: impl Fn(f64) -> f32, disturb: impl FnMut(usize, usize, f32) -> f32) -> Vec<(u64, f32)> {
+        windows_with_faults(level, disturb).into_iter().map(|(first, novelty, _)| (first, novelty)).collect()
+    }
+
+    /// The same, and what is wrong with each channel.
+    fn windows_with_faults(
         level: impl Fn(f64) -> f32,
         mut disturb: impl FnMut(usize, usize, f32) -> f32,
-    ) -> Vec<(u64, f32)> {
+    ) -> Vec<(u64, f32, Vec<Option<Fault>>)> {
         let mut chain = SignalChain::new(&SignalSettings::default(), 4, RATE_HZ).expect("a chain");
         let mut muscles = [1, 2, 3, 4].map(|seed| Muscles { noise: Noise(seed * 7_919), last: [0.0; 2] });
         let mut windows = Vec::new();
@@ -256,8 +304,8 @@ mod tests {
                 }
             }
             chain
-                .push_block(&block, |_, window, _| {
-                    windows.push((window.first_sample, window.novelty));
+                .push_block(&block, |chain, window, _| {
+                    windows.push((window.first_sample, window.novelty, chain.faults().to_vec()));
                     Ok::<(), std::convert::Infallible>(())
                 })
                 .expect("nothing fails");
@@ -339,6 +387,36 @@ mod tests {
             let newest = first + 599;
             let is_flat = newest >= begin + 200 && first < end + 1000;
             assert!(novelty > 1.0 || !is_flat, "window at {first}");
+        }
+    }
+
+    #[test]
+    fn the_channel_and_its_fault_are_named() {
+        let mut noise = Noise(99);
+        let mut disturb = |fault: Fault, at: usize, sample: f32| match fault {
+            Fault::Flat => 0.0,
+            Fault::Silent => 0.001 * sample,
+            Fault::Hum => sine(at, 50.0, f64::from(20.0 * REST_RMS)),
+            Fault::Noise => 20.0 * REST_RMS * noise.next(),
+        };
+        for fault in [Fault::Flat, Fault::Silent, Fault::Hum, Fault::Noise] {
+            let windows = windows_with_faults(
+                |_| 1.0,
+                |channel, at, sample| {
+                    if channel == 2 && is_disturbed(at) { disturb(fault, at, sample) } else { sample }
+                },
+            );
+            let [begin, end] = DISTURBED_S.map(|time_s| (time_s * RATE_HZ) as u64);
+            let mut named = 0;
+            for (first, novelty, faults) in &windows {
+                assert_eq!(*novelty > 1.0, faults.iter().any(Option::is_some), "{fault}, window at {first}");
+                if (begin..end - 600).contains(first) {
+                    assert_eq!([faults[0], faults[1], faults[3]], [None; 3], "{fault}, window at {first}");
+                    named += usize::from(faults[2] == Some(fault));
+                }
+            }
+            let inside = windows.iter().filter(|(first, ..)| (begin..end - 600).contains(first)).count();
+            assert!(named * 10 > inside * 9, "{fault}: {named} of {inside}");
         }
     }
 

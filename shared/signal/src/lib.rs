@@ -8,6 +8,7 @@
 //! recording ─▶ resample                                              to the session's rate
 //! recording ─▶ filter ─▶ onset                                       where the movement starts
 //! ```
+//! The units that samples can be in are in [`known_units`].
 //! Everything that depends on time takes the sampling rate as a parameter. Samples are `f32` in the source's
 //! unit (mV or ADC counts), blocks and windows are channel-major. Nothing but [`find_onset`], which is for
 //! offline use, allocates once constructed.
@@ -22,14 +23,17 @@ mod error;
 mod filter;
 mod onset;
 mod resample;
+mod unit;
 mod windows;
 
 pub use activity::{Activity, ActivityDetector, ActivitySettings, Baseline, SIGMA_PER_MAD};
 pub use chain::{Push, SignalChain, SignalSettings, Window};
+pub use contact::Fault;
 pub use design::{MAX_ORDER, Section, butterworth_band_pass, butterworth_high_pass, notch};
 pub use envelope::{DEFAULT_ENVELOPE_MS, Envelope};
 pub use error::DesignError;
 pub use filter::{EmgFilter, FilterSettings, LARGEST_SAMPLE};
 pub use onset::{Onset, OnsetMethod, OnsetSettings, find_onset};
 pub use resample::Resampler;
+pub use unit::{UnitError, canonical_unit, known_units, unit_factor};
 pub use windows::{WindowInput, WindowSettings, Windower};

@@ -22,7 +22,6 @@ mod assemble;
 mod clock;
 mod offer;
 mod paced;
-mod unit;
 
 use std::error::Error;
 use std::os::fd::BorrowedFd;
@@ -35,7 +34,7 @@ pub use assemble::{BlockAssembler, Chunk};
 pub use clock::DeviceClock;
 pub use offer::{Choice, Offer, OfferError, OfferedChannel};
 pub use paced::{BlockMaker, Pace, Paced};
-pub use unit::{UnitError, canonical_unit, unit_factor};
+pub use tendon_signal::{UnitError, canonical_unit, unit_factor};
 
 /// What to wait for until [`Source::next_block`] may have a block.
 #[derive(Clone, Copy, Debug)]

@@ -8,8 +8,7 @@
 use tendon_config::AcquisitionSettings;
 use tendon_process::SignalDescription;
 use tendon_recordings::Channel;
-
-use crate::{UnitError, canonical_unit, unit_factor};
+use tendon_signal::{UnitError, canonical_unit, unit_factor};
 
 /// Largest difference between the rate of an amplifier and that of the session, as a share: windows and filters are the same then.
 const RATE_TOLERANCE: f64 = 1e-3;

@@ -1,0 +1,90 @@
+//! Units of samples: amplifiers, recordings and models spell the same unit in many ways.
+
+/// Spellings of the units that are known: the canonical one, the others in small letters; and how many volts each is. How
+/// many volts the numbers of an analogue-to-digital converter are is not known.
+const UNITS: [(&str, &[&str], Option<f64>); 5] = [
+    ("V", &["v", "volt", "volts"], Some(1.0)),
+    ("mV", &["mv", "millivolt", "millivolts"], Some(1e-3)),
+    // With the micro sign, the Greek letter, and without either.
+    ("uV", &["uv", "\u{b5}v", "\u{3bc}v", "microvolt", "microvolts"], Some(1e-6)),
+    ("nV", &["nv", "nanovolt", "nanovolts"], Some(1e-9)),
+    ("adc_counts", &["adc_counts", "adc counts", "adc_count", "adc count"], None),
+];
+
+/// Samples cannot be had in the unit of the session.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the samples are in \"{from}\", and the session wants \"{to}\" (acquisition.unit): of these units only V, mV, uV and nV can \
+     be converted into one another"
+)]
+pub struct UnitError {
+    /// Unit of the samples.
+    pub from: String,
+    /// Unit of the session.
+    pub to: String,
+}
+
+/// The canonical spellings of the units that are known.
+pub fn known_units() -> impl Iterator<Item = &'static str> {
+    UNITS.into_iter().map(|(canonical, ..)| canonical)
+}
+
+/// The canonical spelling of a unit: `microvolts`, `µV` and `uv` are `uV`, `ADC counts` is `adc_counts`; what is not known
+/// stays as it is.
+pub fn canonical_unit(unit: &str) -> &str {
+    let unit = unit.trim();
+    known(unit).map_or(unit, |(canonical, _)| canonical)
+}
+
+/// What samples in the unit `from` are multiplied by to be in the unit `to`.
+///
+/// # Errors
+///
+/// [`UnitError`] when they differ and one of them is no known unit of voltage.
+pub fn unit_factor(from: &str, to: &str) -> Result<f64, UnitError> {
+    if canonical_unit(from) == canonical_unit(to) {
+        return Ok(1.0);
+    }
+    match (known(from), known(to)) {
+        (Some((_, Some(from_volts))), Some((_, Some(to_volts)))) => Ok(from_volts / to_volts),
+        _ => Err(UnitError { from: from.to_owned(), to: to.to_owned() }),
+    }
+}
+
+/// The canonical spelling of a unit and how many volts it is, if it is known.
+fn known(unit: &str) -> Option<(&'static str, Option<f64>)> {
+    let unit = unit.trim().to_lowercase();
+    let (canonical, _, volts) =
+        UNITS.into_iter().find(|(_, spellings, _)| spellings.contains(&unit.as_str()))?;
+    Some((canonical, volts))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_known_by_many_spellings_and_voltages_converted() {
+        for spelling in ["uV", "\u{b5}V", "\u{3bc}V", "microvolts", "MicroVolt", " uv "] {
+            assert_eq!(canonical_unit(spelling), "uV", "{spelling}");
+        }
+        for spelling in ["ADC counts", "adc_counts", "ADC_Count"] {
+            assert_eq!(canonical_unit(spelling), "adc_counts", "{spelling}");
+        }
+        assert_eq!(canonical_unit(" furlongs "), "furlongs");
+        for unit in known_units() {
+            assert_eq!(canonical_unit(unit), unit);
+        }
+        let factor = |from, to| unit_factor(from, to).unwrap();
+        assert!((factor("volts", "mV") - 1e3).abs() < 1e-9);
+        assert!((factor("uV", "mV") - 1e-3).abs() < 1e-15);
+        assert_eq!(factor("ADC counts", "adc_counts"), 1.0);
+    }
+
+    #[test]
+    fn other_units_are_refused_by_name() {
+        let refusal = unit_factor("ADC counts", "mV").unwrap_err().to_string();
+        assert!(refusal.contains("\"ADC counts\"") && refusal.contains("acquisition.unit"), "{refusal}");
+        assert!(unit_factor("", "mV").is_err());
+    }
+}
