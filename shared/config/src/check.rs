@@ -171,9 +171,7 @@ impl Config {
             self.check_channels("acquisition.replay.channels", acquisition.replay.channels.as_deref())?;
         }
         acquisition.lsl.check().map_err(section("acquisition.lsl"))?;
-        if acquisition.source == Source::Nidaqmx {
-            acquisition.nidaqmx.check().map_err(section("acquisition.nidaqmx"))?;
-        }
+        acquisition.nidaqmx.check().map_err(section("acquisition.nidaqmx"))?;
         if acquisition.source == Source::Otb {
             acquisition.otb.amplifier(acquisition.sample_rate_hz).map_err(section("acquisition.otb"))?;
         }
