@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use tendon_config::{Config, Source};
+use tendon_config::{AcquisitionSettings, Config, Source};
 use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
 use tendon_gesture::{Gesture, GestureSet, Strategy};
@@ -163,15 +163,7 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
             |name: &String| name.parse().map_or_else(|_| Channel::Name(name.clone()), Channel::Index);
         acquisition.replay.channels = Some(signal.channels.iter().map(channel).collect());
     }
-    if acquisition.source.is_amplifier() {
-        if acquisition.channel_selection.is_none() {
-            acquisition.channel_selection =
-                Some(signal.channels.iter().cloned().map(Channel::Name).collect());
-        }
-        if acquisition.unit.is_none() && !signal.unit.is_empty() {
-            acquisition.unit = Some(signal.unit.clone());
-        }
-    }
+    ask_for(acquisition, &signal.channels, &signal.unit);
     if let Some(filter) = &signal.filter
         && config.dsp.filter == default.dsp.filter
         && !base.sets("dsp.filter")
@@ -277,6 +269,19 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
 /// Whether the source is the simulated person that comes with Tendon.
 pub fn is_simulated(config: &Config) -> bool {
     config.acquisition.source == Source::Simulate && config.acquisition.program.is_none()
+}
+
+/// Asks an amplifier for these channels, by name, and this unit, unless the user asks for others.
+pub fn ask_for(acquisition: &mut AcquisitionSettings, channels: &[String], unit: &str) {
+    if !acquisition.source.is_amplifier() {
+        return;
+    }
+    if acquisition.channel_selection.is_none() {
+        acquisition.channel_selection = Some(channels.iter().cloned().map(Channel::Name).collect());
+    }
+    if acquisition.unit.is_none() && !unit.is_empty() {
+        acquisition.unit = Some(unit.to_owned());
+    }
 }
 
 /// Refuses a source that is ready with other channels, or another unit, than the person of this configuration was calibrated

@@ -148,7 +148,7 @@ impl Offer {
         };
         let taken = places.iter().map(|&place| Ok((place, self.factor(place, unit)?)));
         let taken = taken.collect::<Result<_, OfferError>>()?;
-        let channels = places.iter().map(|&place| self.channels[place].name.clone()).collect();
+        let channels = places.iter().map(|&place| plain(&self.channels[place].name)).collect();
         let signal = SignalDescription { channels, unit: unit.to_owned() };
         Ok(Choice { offered: self.channels.len(), taken, signal })
     }
@@ -190,7 +190,8 @@ impl Offer {
             Channel::Index(place) if *place < self.channels.len() => Ok(*place),
             Channel::Index(_) => Err(missing()),
             Channel::Name(name) => {
-                let mut places = (0..self.channels.len()).filter(|&place| self.channels[place].name == *name);
+                let mut places = (0..self.channels.len())
+                    .filter(|&place| plain(&self.channels[place].name) == plain(name));
                 let place = places.next().ok_or_else(missing)?;
                 if places.next().is_some() {
                     return Err(OfferError::Ambiguous { name: name.clone(), names: self.numbered_names() });
@@ -230,6 +231,13 @@ impl Offer {
         let factor = factor.map_err(|error| OfferError::Unit { channel: name.clone(), error })?;
         Ok(factor as f32)
     }
+}
+
+/// The name of a channel as recordings and people have it: no number, which would be a place, and nothing that separates the
+/// columns of a table.
+fn plain(name: &str) -> String {
+    let name = name.trim().replace([',', ';', '\t', '\n', '\r', '"'], "_");
+    if name.parse::<f64>().is_ok() { format!("channel_{name}") } else { name }
 }
 
 impl Choice {
@@ -293,6 +301,18 @@ mod tests {
         let mut taken = Vec::new();
         choice.take(&[7.0, 500.0, 2.0, 9.0], &mut taken);
         assert_eq!(taken, [9.0, 500.0]);
+    }
+
+    #[test]
+    fn names_that_are_numbers_or_separate_columns_are_found_again_by_what_they_became() {
+        let mut numbered = offer();
+        numbered.channels[1].name = "2".to_owned();
+        numbered.channels[2].name = "ext, left".to_owned();
+        let choice = numbered.choose(&settings(2, None, Some("mV"))).unwrap();
+        assert_eq!(choice.signal.channels, ["channel_2", "ext_ left"]);
+        let names = choice.signal.channels.iter().map(|name| Channel::Name(name.clone())).collect::<Vec<_>>();
+        let again = numbered.choose(&settings(2, Some(&names), Some("mV"))).unwrap();
+        assert_eq!(again.signal, choice.signal);
     }
 
     #[test]

@@ -15,6 +15,7 @@ use tendon_gesture::Gesture;
 use tendon_guide::{Guide, GuideSettings};
 use tendon_output::OutputFile;
 use tendon_people::{People, Person, PersonName};
+use tendon_process::SignalDescription;
 use tendon_provenance::Provenance;
 use tendon_recordings::{RecordedSession, Recorder, SimulatedFrom};
 use tendon_session::{AcquisitionWatch, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
@@ -24,7 +25,7 @@ use super::check::{self, CheckScores};
 use super::round::{Live, RoundEnd};
 use super::{Fitted, Selection, fit, report, update};
 use crate::options::duration;
-use crate::personal::{WINDOWS, check_simulated, is_simulated, personal_windows};
+use crate::personal::{WINDOWS, ask_for, check_simulated, is_simulated, personal_windows};
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// Folder of a person's recordings in that of the person.
@@ -76,6 +77,7 @@ pub fn calibrate(
     let mut config = configuration(options).map_err(Failure::input)?;
     if let Some(person) = &updated {
         config.dsp.windows.window_samples = person.signal.window_samples;
+        ask_for(&mut config.acquisition, &person.signal.channels, &person.signal.unit);
         update::check_signal(person, &config).map_err(Failure::input)?;
     }
     let guide = guide_settings(options, &config, updated.as_ref()).map_err(Failure::input)?;
@@ -84,6 +86,7 @@ pub fn calibrate(
         let folder = recording_to_redo(people, name).map_err(Failure::input)?;
         let recorder = Recorder::resume(&folder).map_err(Failure::input)?;
         check_fits(&recorder, &config).map_err(Failure::input)?;
+        ask_for(&mut config.acquisition, &recorder.session().channels, &recorder.session().unit);
         Recording::Resumed(recorder)
     } else {
         let ending = if updated.is_some() { UPDATE } else { "" };
@@ -95,8 +98,10 @@ pub fn calibrate(
     let updated = updated.as_ref();
     let calibration = Calibration { options, people, config: &config, guide, begun, updated };
     let channels = recording.session().channels.clone();
-    let learnt =
-        with_source(&config, &channels, &errors, |live| calibration.follow(live, recording, &errors));
+    let learnt = with_source(&config, &channels, &errors, |live, signal| {
+        let recording = recording.of_signal(signal).map_err(Failure::input)?;
+        calibration.follow(live, recording, &errors)
+    });
     errors.end_live();
     let _ = errors.finish(TERMINAL_TIMEOUT);
     match learnt? {
@@ -120,6 +125,31 @@ impl Recording {
         match self {
             Recording::New(_, session) => session,
             Recording::Resumed(recorder) => recorder.session(),
+        }
+    }
+
+    /// Of the channels and in the unit that the source says it has.
+    fn of_signal(self, signal: Option<SignalDescription>) -> anyhow::Result<Recording> {
+        let Some(signal) = signal else { return Ok(self) };
+        match self {
+            Recording::New(folder, mut session) => {
+                SignalDescription { channels: session.channels, unit: session.unit } = signal;
+                Ok(Recording::New(folder, session))
+            }
+            Recording::Resumed(recorder) => {
+                let recorded = recorder.session();
+                ensure!(
+                    recorded.channels == signal.channels && recorded.unit == signal.unit,
+                    "{} holds the channels {} in \"{}\", and the source has {} in \"{}\": choose the same \
+                     (acquisition.channel_selection, acquisition.unit), or calibrate anew with --replace",
+                    recorder.folder().display(),
+                    recorded.channels.join(", "),
+                    recorded.unit,
+                    signal.channels.join(", "),
+                    signal.unit
+                );
+                Ok(Recording::Resumed(recorder))
+            }
         }
     }
 
@@ -320,7 +350,7 @@ fn recorded_session(
     begun: &Provenance,
 ) -> anyhow::Result<RecordedSession> {
     let acquisition = &config.acquisition;
-    // The source does not say what its channels are called; a table needs names that are no numbers.
+    // Of a source that does not say what its channels are called; a table needs names that are no numbers.
     let channels = (0..acquisition.channels).map(|channel| format!("channel_{channel}")).collect();
     let mut session =
         RecordedSession::new(name.id(), &begun.started_at, channels, acquisition.sample_rate_hz);
@@ -395,7 +425,7 @@ fn with_source<T>(
     config: &Config,
     channels: &[String],
     errors: &Writer,
-    work: impl FnOnce(&mut Live<'_>) -> Result<Option<T>, Failure>,
+    work: impl FnOnce(&mut Live<'_>, Option<SignalDescription>) -> Result<Option<T>, Failure>,
 ) -> Result<Option<T>, Failure> {
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     Leftovers::remove(&lock, &config.session);
@@ -416,8 +446,9 @@ fn with_source<T>(
         if has_keys {
             errors.say(KEYS);
         }
+        let channels = ready.signal.as_ref().map_or(channels, |signal| &signal.channels);
         let mut live = Live::new(acquisition, config, channels, errors, has_keys)?;
-        let done = work(&mut live);
+        let done = work(&mut live, ready.signal);
         let stopped = live.stop();
         done.and_then(|done| stopped.map(|()| done))
     });
