@@ -512,7 +512,7 @@ fn with_a_network_an_electrode_that_is_off_is_no_rest_that_lets_the_arm_move() {
     let mut tendon = TendonBuilder::run_with_model(&session, &model("cnn-six-class"))
         .args(&["--strategy", "direct", "--script", "rest 1s, ulnar 1s"])
         .args(&["--set", "acquisition.simulate.dropouts_per_minute=6000"])
-        .args(&["--set", "acquisition.simulate.dropout_ms=100000"])
+        .args(&["--set", "acquisition.simulate.dropout_ms=60000"])
         .start();
     tendon.wait_until_running();
     let mut observer = Observer::join(&session);

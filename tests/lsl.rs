@@ -129,7 +129,7 @@ fn a_stream_is_listed_and_read_and_every_sample_that_it_lost_is_counted() {
     let ended = network.read().args(&["--duration", "5s"]).end();
     let report = ended.report();
     assert_eq!(report.source, "lsl");
-    assert!(ended.output.contains("channels EMG 1, EMG 2, EMG 3, EMG 4, ADC counts"), "{ended:?}");
+    assert!(ended.output.contains("channels EMG 1, EMG 2, EMG 3, EMG 4, adc_counts"), "{ended:?}");
     // One loss of seven in each second.
     assert!(report.lost_samples.is_multiple_of(7), "{report:#?}");
     assert!((28..=42).contains(&report.lost_samples), "{report:#?}");

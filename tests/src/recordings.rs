@@ -24,18 +24,26 @@ pub const MOVEMENT: [f32; CHANNELS] = [800.0, 300.0, 500.0, 150.0];
 #[derive(Debug)]
 pub struct PseudoEmg {
     state: u64,
+    /// The last two samples of each channel before its amplitude.
+    last: [[f32; 2]; CHANNELS],
 }
 
 impl Default for PseudoEmg {
     fn default() -> Self {
-        PseudoEmg { state: 1 }
+        PseudoEmg { state: 1, last: [[0.0; 2]; CHANNELS] }
     }
 }
 
 impl PseudoEmg {
     /// The next sample of every channel.
     pub fn frame(&mut self, amplitudes: [f32; CHANNELS]) -> [f32; CHANNELS] {
-        amplitudes.map(|amplitude| amplitude * self.uniform())
+        std::array::from_fn(|channel| {
+            // A broad peak in the spectrum, as muscles have; white noise would be an electrode that is off.
+            let [newer, older] = self.last[channel];
+            let next = 1.538 * newer - 0.64 * older + self.uniform();
+            self.last[channel] = [next, newer];
+            amplitudes[channel] * next / 3.75
+        })
     }
 
     /// Between -1 and 1: Knuth's linear congruential generator (MMIX).
