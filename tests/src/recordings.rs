@@ -20,7 +20,7 @@ pub const REST: [f32; CHANNELS] = [10.0; CHANNELS];
 /// Some movement: much, unevenly.
 pub const MOVEMENT: [f32; CHANNELS] = [800.0, 300.0, 500.0, 150.0];
 
-/// White noise in the stretches' amplitudes, frame by frame, the same every time.
+/// Noise with a spectrum like that of muscles, in the stretches' amplitudes, frame by frame, the same every time.
 #[derive(Debug)]
 pub struct PseudoEmg {
     state: u64,
@@ -83,9 +83,11 @@ const THREE_DC_COLUMNS: usize = 10;
 /// extension and 3 s with the cue grip. Its cues make recognition count windows.
 pub fn write_three_dc(folder: &Path) {
     std::fs::create_dir_all(folder).unwrap();
+    // Not taken for a grip by the model, so that the arm moves.
+    let extension = [60.0, 60.0, 400.0, 60.0];
     let grip = [200.0, 900.0, 100.0, 600.0];
     // Numbers of the data set: 0 rest, 4 extension, 7 grip.
-    for (number, samples, amplitudes) in [(0, 6000, REST), (4, 3000, MOVEMENT), (7, 3000, grip)] {
+    for (number, samples, amplitudes) in [(0, 6000, REST), (4, 3000, extension), (7, 3000, grip)] {
         let file = folder.join(format!("3dc_EMG_gesture_0_{number}.txt"));
         write_columns(&file, &[Stretch { samples, amplitudes }], THREE_DC_COLUMNS);
     }
