@@ -7,9 +7,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 use nix::sys::signal::Signal;
-use tendon_messages::BLOCKS;
 use tendon_system_tests::{Tendon, TendonBuilder, program, repository, unique_session, wait_until};
-use tendon_transport::{Delivery, Session, Subscriber};
 
 /// A port that nobody uses now.
 fn free_port() -> u16 {
@@ -93,6 +91,7 @@ fn a_muovi_dials_in_its_losses_are_counted_exactly_and_it_is_found_again() {
     emulator.say("garbage");
     wait_for_error(&tendon, "counter jumped");
     wait_for_error(&tendon, "is back");
+    tendon.wait_for_blocks();
     tendon.signal(Signal::SIGINT);
     let report = tendon.end().report();
     assert_eq!(report.restarts, 0, "{report:#?}");
@@ -147,11 +146,7 @@ fn the_python_program_of_the_page_feeds_a_session() {
     let feed = Sender::start("python3", &[file.to_str().unwrap(), &port.to_string()]);
     tendon.wait_until_running();
     tendon.wait_for_output("flexor, extensor, ulnar, radial in mV");
-    {
-        let watch = Session::join(tendon.session(), "test").unwrap();
-        let mut blocks = Subscriber::open(&watch, &BLOCKS, None, Delivery::Live).unwrap();
-        wait_until("50 blocks", || (blocks.receive().unwrap()?.header().trace.sequence >= 50).then_some(()));
-    }
+    tendon.wait_for_blocks();
     drop(feed);
     wait_for_error(&tendon, "the connection was closed");
     tendon.signal(Signal::SIGINT);

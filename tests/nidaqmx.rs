@@ -64,6 +64,7 @@ fn a_device_that_is_unplugged_stops_the_arm_and_is_found_again() {
     says(&tendon, "plug it in again");
     std::fs::remove_file(&control).unwrap();
     says(&tendon, "the device acquires again");
+    tendon.wait_for_blocks();
     tendon.signal(nix::sys::signal::Signal::SIGINT);
     let report = tendon.end().report();
     assert!(report.lost_samples > 0, "{report:#?}");

@@ -29,8 +29,9 @@ pub use emulated_arm::EmulatedArm;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Gid, Pid, Uid, chown};
 use tempfile::TempDir;
+use tendon_messages::BLOCKS;
 use tendon_report::Report;
-use tendon_transport::{Leftovers, SessionName};
+use tendon_transport::{Delivery, Leftovers, Session, SessionName, Subscriber};
 
 /// Longest wait for anything: only for a test that would otherwise hang, so generous.
 pub const WATCHDOG: Duration = Duration::from_secs(120);
@@ -306,6 +307,19 @@ impl Tendon {
                 panic!("tendon ended early ({status}): {}", self.errors.so_far());
             }
             self.output.so_far().contains(text).then_some(())
+        });
+    }
+
+    /// Waits until a hundred more blocks have come: at 5 ms a block, the source has published its counts meanwhile.
+    pub fn wait_for_blocks(&self) {
+        let session = Session::join(&self.session, "test").unwrap();
+        let mut blocks = Subscriber::open(&session, &BLOCKS, None, Delivery::Live).unwrap();
+        let mut seen = 0;
+        wait_until("100 blocks", || {
+            while blocks.receive().unwrap().is_some() {
+                seen += 1;
+            }
+            (seen >= 100).then_some(())
         });
     }
 
