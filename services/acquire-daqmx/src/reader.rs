@@ -62,18 +62,15 @@ impl Numbers {
 impl Reader {
     /// Opens the device, tells what was found, and reads from the start until the end.
     pub fn run(mut self, found: &SyncSender<anyhow::Result<Found>>, start: &Receiver<()>) {
-        let opened = self.find().and_then(|(daqmx, found)| {
+        let opened = self.find().and_then(|(daqmx, description)| {
             let task = Task::new(&daqmx, &self.settings, self.sample_rate_hz)?;
-            Ok((daqmx, task, found))
+            Ok((daqmx, task, description))
         });
         let (daqmx, task) = match opened {
-            Ok((daqmx, task, device)) => {
-                let device = Found {
-                    channels: task.channels().to_vec(),
-                    sample_rate_hz: task.sample_rate_hz(),
-                    description: device,
-                };
-                let _ = found.send(Ok(device));
+            Ok((daqmx, task, description)) => {
+                let channels = task.channels().to_vec();
+                let _ =
+                    found.send(Ok(Found { description, channels, sample_rate_hz: task.sample_rate_hz() }));
                 (daqmx, task)
             }
             Err(error) => {

@@ -7,7 +7,8 @@ use std::os::fd::OwnedFd;
 use std::time::{Duration, Instant};
 
 use tendon_link::{
-    ConnectError, Connector, Decode, Goodbye, Instants, Link, accept, check_rate, read_before, stay_ready,
+    ConnectError, Connector, Decode, Goodbye, Instants, Link, accept, check_rate, listen, read_before,
+    stay_ready,
 };
 use tendon_otb::{Amplifier, Decoder, Dialling, Layout, OtbSettings, OtbSettingsError};
 use tendon_source::{Offer, OfferedChannel};
@@ -61,9 +62,7 @@ impl OtbConnector {
         let listener = match amplifier.dialling() {
             Dialling::Device { .. } => {
                 let failed = |source| OpenError::Listen { name: amplifier.name(), address, source };
-                let listener = TcpListener::bind(address).map_err(failed)?;
-                listener.set_nonblocking(true).map_err(failed)?;
-                Some(listener)
+                Some(listen(address).map_err(failed)?)
             }
             Dialling::Computer { .. } => None,
         };

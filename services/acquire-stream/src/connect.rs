@@ -6,7 +6,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
 use tendon_link::{
-    ConnectError, Connector, Decode, Instants, Link, accept, check_rate, read_before, stay_ready,
+    ConnectError, Connector, Decode, Instants, Link, accept, check_rate, listen, read_before, stay_ready,
 };
 use tendon_source::{Offer, OfferedChannel};
 use tendon_stream::{Decoder, Header, StreamSettings};
@@ -51,9 +51,7 @@ impl StreamConnector {
     /// [`ListenError`].
     pub fn new(settings: &StreamSettings) -> Result<StreamConnector, ListenError> {
         let address = settings.address;
-        let failed = |source| ListenError { address, source };
-        let listener = TcpListener::bind(address).map_err(failed)?;
-        listener.set_nonblocking(true).map_err(failed)?;
+        let listener = listen(address).map_err(|source| ListenError { address, source })?;
         Ok(StreamConnector { address, listener })
     }
 }

@@ -61,13 +61,27 @@ impl Console {
         )
     }
 
-    /// Obeys standard input: faults, gestures, `state` and `quit`. Returns at `quit`; at the end of the input the emulator runs
+    /// Runs an emulator in a thread, ends the process if that fails, and obeys standard input: faults, gestures, `state` and `quit`. Returns at `quit`; at the end of the input the emulator runs
     /// until it is killed.
     ///
     /// # Errors
     ///
     /// When the standard streams are broken.
-    pub fn obey(&self) -> anyhow::Result<()> {
+    pub fn obey_beside(
+        &self,
+        program: &'static str,
+        run: impl FnOnce() -> anyhow::Result<()> + Send + 'static,
+    ) -> anyhow::Result<()> {
+        std::thread::spawn(move || {
+            if let Err(error) = run() {
+                let _ = writeln!(std::io::stderr(), "{program}: error: {error:#}");
+                std::process::exit(1);
+            }
+        });
+        self.obey()
+    }
+
+    fn obey(&self) -> anyhow::Result<()> {
         let mut output = std::io::stdout();
         for line in std::io::stdin().lock().lines() {
             let line = line?;

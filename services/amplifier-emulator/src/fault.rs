@@ -4,7 +4,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 /// All faults: how they are written, and what they do.
-pub const FAULTS: [(&str, &str); 8] = [
+const FAULTS: [(&str, &str); 8] = [
     ("lose N", "the next N samples are lost, and counted as lost where the amplifier counts"),
     ("torn N", "the next N packets come byte by byte"),
     (
@@ -17,6 +17,15 @@ pub const FAULTS: [(&str, &str); 8] = [
     ("close", "the amplifier closes the connection, and can be connected again at once"),
     ("away S", "it closes the connection and is away for S seconds"),
 ];
+
+/// All faults as a command line's help lists them.
+pub fn fault_help() -> String {
+    let mut help = "Faults, on standard input:".to_owned();
+    for (form, explanation) in FAULTS {
+        help += &format!("\n  {form:<10} {explanation}");
+    }
+    help
+}
 
 /// A fault, as a user asks for it.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -17,6 +17,6 @@ mod wearer;
 
 pub use console::Console;
 pub use delsys::DelsysEmulator;
-pub use fault::{FAULTS, Fault, FaultError};
+pub use fault::{Fault, FaultError, fault_help};
 pub use otb::{OtbEmulator, Place};
 pub use wearer::{Wearer, WearerOptions};

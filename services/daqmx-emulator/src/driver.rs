@@ -225,7 +225,7 @@ pub fn read(number: usize, read: Read, volts: &mut [f64]) -> (Result<i32, Refusa
     let begun = Instant::now();
     loop {
         let mut driver = driver();
-        let available = match driver.task(number).and_then(|task| Ok((task.available()?, task))) {
+        match driver.task(number).and_then(|task| Ok((task.available()?, task))) {
             Ok((available, task)) => {
                 let available = usize::try_from(available).unwrap_or(usize::MAX);
                 let wanted = read.samples.unwrap_or(available);
@@ -239,12 +239,10 @@ pub fn read(number: usize, read: Read, volts: &mut [f64]) -> (Result<i32, Refusa
                     let outcome = if samples < wanted { Err(NOT_YET) } else { Ok(0) };
                     return (outcome, samples);
                 }
-                available
             }
             Err(refusal) => return (Err(refusal), 0),
-        };
+        }
         drop(driver);
-        let _ = available;
         std::thread::sleep(LOOK);
     }
 }

@@ -71,7 +71,6 @@ functions! {
     clock_rate = "GetSampClkRate": fn(TaskHandle, *mut f64);
     channel_count = "GetReadNumChans": fn(TaskHandle, *mut u32);
     channel_names = "GetReadChannelsToRead": fn(TaskHandle, *mut c_char, u32);
-    total_acquired = "GetReadTotalSampPerChanAcquired": fn(TaskHandle, *mut u64);
     read = "ReadAnalogF64": fn(TaskHandle, i32, f64, u32, *mut f64, u32, *mut i32, *mut u32);
     extended_error = "GetExtendedErrorInfo": fn(*mut c_char, u32);
 }
@@ -243,19 +242,6 @@ impl Functions {
     pub(crate) unsafe fn start(&self, task: TaskHandle) -> Result<(), DaqmxError> {
         // SAFETY: by the contract.
         self.check("StartTask", unsafe { (self.start_task)(task) }).map(drop)
-    }
-
-    /// Samples of each channel acquired since the start.
-    ///
-    /// # Safety
-    ///
-    /// As [`Functions::clear_task`].
-    pub(crate) unsafe fn total_acquired(&self, task: TaskHandle) -> Result<u64, DaqmxError> {
-        let mut total = 0;
-        // SAFETY: by the contract; a number is written.
-        let code = unsafe { (self.total_acquired)(task, &mut total) };
-        self.check("GetReadTotalSampPerChanAcquired", code)?;
-        Ok(total)
     }
 
     /// Waits for `samples` of each channel, but no longer than `timeout_s`, writes them into `volts`, and returns how many of

@@ -5,8 +5,8 @@
 //!                                           └─▶ Task: channels ─▶ sample clock ─▶ start ─▶ read, read, …
 //! ```
 //!
-//! The device's own clock times the samples; the driver counts all that were acquired, and a reader that is too slow gets
-//! an error, so nothing is lost silently. The driver has no time stamps.
+//! The device's own clock times the samples. A reader that is too slow gets an error, so nothing is lost silently. The driver
+//! has no time stamps.
 //!
 //! Names, numbers and signatures are those of NI's header `NIDAQmx.h`. All calls block at most as long as they are told.
 #![deny(unsafe_op_in_unsafe_fn)]

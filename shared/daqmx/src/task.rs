@@ -83,16 +83,6 @@ impl Task {
         // SAFETY: see `new`.
         unsafe { self.functions.read(self.handle, samples, timeout_s, volts) }
     }
-
-    /// Samples of each channel that the device has acquired since the start, those that nobody has read included.
-    ///
-    /// # Errors
-    ///
-    /// [`DaqmxError`] when the device is gone.
-    pub fn total_acquired(&self) -> Result<u64, DaqmxError> {
-        // SAFETY: see `new`.
-        unsafe { self.functions.total_acquired(self.handle) }
-    }
 }
 
 impl Drop for Task {

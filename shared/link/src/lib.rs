@@ -34,7 +34,7 @@ use tendon_source::Offer;
 pub use connect::Connector;
 pub use error::{ConnectError, LinkError};
 pub use rate::{RateError, check_rate};
-pub use socket::{accept, read_before, stay_ready};
+pub use socket::{accept, listen, read_before, stay_ready};
 pub use source::LinkedSource;
 
 /// Instants that follow one another without a loss.

@@ -9,6 +9,17 @@ use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
+/// A socket at which devices dial in, for [`accept`].
+///
+/// # Errors
+///
+/// When the address is in use or is none of this computer's.
+pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+    let listener = TcpListener::bind(address)?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
 /// Takes a connection to `listener` if one comes within `longest`. `listener` must be non-blocking.
 ///
 /// # Errors

@@ -119,8 +119,11 @@ impl Inlet {
             let room = instants.as_mut_ptr();
             (functions.pull_sample_f)(self.handle, room, self.channels as i32, wait.as_secs_f64(), &mut code)
         };
-        if stamp == 0.0 || code == TIMEOUT {
-            return if code == TIMEOUT { Ok(0) } else { self.check(code, "its samples").map(|()| 0) };
+        if code == TIMEOUT {
+            return Ok(0);
+        }
+        if stamp == 0.0 {
+            return self.check(code, "its samples").map(|()| 0);
         }
         stamps[0] = stamp;
         let (instants, stamps) = (&mut instants[self.channels..], &mut stamps[1..]);

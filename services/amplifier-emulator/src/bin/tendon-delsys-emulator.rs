@@ -5,14 +5,14 @@ use std::io::Write;
 use std::net::IpAddr;
 
 use clap::Parser;
-use tendon_amplifier_emulator::{Console, DelsysEmulator, FAULTS, WearerOptions};
+use tendon_amplifier_emulator::{Console, DelsysEmulator, WearerOptions, fault_help};
 
 /// An emulated Delsys Trigno SDK server, whose sensors the simulated person wears.
 ///
 /// It prints `ready` and its addresses, then reads standard input, a line each: a gesture makes the person make it, `state`
 /// prints how many samples were sent and lost, `quit` ends the program, and the faults listed below make something go wrong.
 #[derive(Debug, Parser)]
-#[command(version, after_help = faults())]
+#[command(version, after_help = fault_help())]
 struct Options {
     /// Address to listen on.
     #[arg(long, default_value = "127.0.0.1")]
@@ -30,14 +30,6 @@ struct Options {
     wearer: WearerOptions,
 }
 
-fn faults() -> String {
-    let mut help = "Faults, on standard input:".to_owned();
-    for (form, explanation) in FAULTS {
-        help += &format!("\n  {form:<10} {explanation}");
-    }
-    help
-}
-
 fn main() -> anyhow::Result<()> {
     let options = Options::parse();
     // A wrong person is refused before anybody connects.
@@ -45,17 +37,12 @@ fn main() -> anyhow::Result<()> {
     let console = Console::default();
     let emulator = DelsysEmulator { slots: options.slots, wearer: options.wearer, console: console.clone() };
     let places = (options.address, options.command_port, options.emg_port);
-    std::thread::spawn(move || {
-        let run = emulator.run(places, |commands, emg| {
+    console.obey_beside("tendon-delsys-emulator", move || {
+        emulator.run(places, |commands, emg| {
             // Without standard output nobody waits for it.
             let _ = writeln!(std::io::stdout(), "ready commands {commands} emg {emg}");
-        });
-        if let Err(error) = run {
-            let _ = writeln!(std::io::stderr(), "tendon-delsys-emulator: error: {error:#}");
-            std::process::exit(1);
-        }
-    });
-    console.obey()
+        })
+    })
 }
 
 #[cfg(test)]

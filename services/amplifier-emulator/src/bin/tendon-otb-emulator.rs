@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use clap::{Parser, ValueEnum};
-use tendon_amplifier_emulator::{Console, FAULTS, OtbEmulator, Place, WearerOptions};
+use tendon_amplifier_emulator::{Console, OtbEmulator, Place, WearerOptions, fault_help};
 use tendon_otb::Device;
 
 /// An emulated amplifier of OT Bioelettronica, worn by the simulated person.
@@ -15,7 +15,7 @@ use tendon_otb::Device;
 /// address, then reads standard input, a line each: a gesture makes the person make it, `state` prints how many samples were
 /// sent and lost, `quit` ends the program, and the faults listed below make something go wrong.
 #[derive(Debug, Parser)]
-#[command(version, after_help = faults())]
+#[command(version, after_help = fault_help())]
 struct Options {
     /// Which amplifier.
     device: Name,
@@ -45,14 +45,6 @@ enum Name {
     Quattrocento,
 }
 
-fn faults() -> String {
-    let mut help = "Faults, on standard input:".to_owned();
-    for (form, explanation) in FAULTS {
-        help += &format!("\n  {form:<10} {explanation}");
-    }
-    help
-}
-
 fn main() -> anyhow::Result<()> {
     let options = Options::parse();
     let local = |port: u16| SocketAddr::from(([127, 0, 0, 1], port));
@@ -74,17 +66,12 @@ fn main() -> anyhow::Result<()> {
         drift_ppm: options.drift_ppm,
         console: console.clone(),
     };
-    std::thread::spawn(move || {
-        let announce = |address: SocketAddr| {
+    console.obey_beside("tendon-otb-emulator", move || {
+        emulator.run(place, |address: SocketAddr| {
             // Without standard output nobody waits for it.
             let _ = writeln!(std::io::stdout(), "ready {address}");
-        };
-        if let Err(error) = emulator.run(place, announce) {
-            let _ = writeln!(std::io::stderr(), "tendon-otb-emulator: error: {error:#}");
-            std::process::exit(1);
-        }
-    });
-    console.obey()
+        })
+    })
 }
 
 #[cfg(test)]
