@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{RecordedSession, RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
+use tendon_signal::canonical_unit;
 
 use crate::recording::{Content, Recording};
 use crate::settings::DatasetSettings;
@@ -37,6 +38,15 @@ impl Layout {
         match self {
             Layout::ThreeDc => Some(three_dc::DATA_SET),
             Layout::OzdemirMat | Layout::OzdemirTrials => Some(ozdemir::DATA_SET),
+            Layout::Labelled => None,
+        }
+    }
+
+    /// Unit of the samples of that data set; `None` for your own recordings.
+    fn unit(self) -> Option<&'static str> {
+        match self {
+            Layout::ThreeDc => Some("adc_counts"),
+            Layout::OzdemirMat | Layout::OzdemirTrials => Some("mV"),
             Layout::Labelled => None,
         }
     }
@@ -70,6 +80,8 @@ pub struct Recordings {
     pub recordings: Vec<Recording>,
     /// What looks like a recording, but cannot be used, and why.
     pub skipped: Vec<SkippedEntry>,
+    /// Unit of the samples in its canonical spelling; empty if the recordings do not tell it.
+    pub unit: String,
 }
 
 /// Lists the recordings at or below `paths`. The layout follows from what is found there:
@@ -107,6 +119,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
         return Err(ListingError::NotUtf8 { path: path.clone() });
     }
     let mut skipped = found.skipped;
+    let mut unit = layout.unit().unwrap_or_default().to_owned();
     let candidates: Vec<PathBuf> = found.candidates.into_iter().map(|(_, path)| path).collect();
     let recordings = match layout {
         Layout::ThreeDc => three_dc_recordings(&candidates, &mut skipped)?,
@@ -118,13 +131,13 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
             check_filtered(settings, &candidates)?;
             trial_recordings(&candidates)?
         }
-        Layout::Labelled => labelled_recordings(settings, &candidates, &mut skipped)?,
+        Layout::Labelled => labelled_recordings(settings, &candidates, &mut skipped, &mut unit)?,
     };
     if recordings.is_empty() {
         let first_reason = skipped.first().map_or("they hold no trials".to_owned(), ToString::to_string);
         return Err(ListingError::NoneUsable { first_reason });
     }
-    Ok(Recordings { layout, recordings, skipped })
+    Ok(Recordings { layout, recordings, skipped, unit })
 }
 
 /// Folders and files by their names.
@@ -337,6 +350,7 @@ fn labelled_recordings(
     settings: &DatasetSettings,
     folders: &[PathBuf],
     skipped: &mut Vec<SkippedEntry>,
+    unit: &mut String,
 ) -> Result<Vec<Recording>, ListingError> {
     let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
@@ -345,6 +359,9 @@ fn labelled_recordings(
         let default_hz = recorded.as_ref().map(|session| session.sample_rate_hz);
         if settings.recording_rate_hz.or(default_hz).is_none() {
             return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
+        }
+        if let Some(recorded) = recorded.as_ref().filter(|_| unit.is_empty()) {
+            *unit = canonical_unit(&recorded.unit).to_owned();
         }
         for mut file in labels::read(folder, skipped)? {
             if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {

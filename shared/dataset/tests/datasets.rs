@@ -143,8 +143,13 @@ impl Whole {
     fn new() -> Whole {
         let temporary = tempfile::tempdir().unwrap();
         write_three_dc(&temporary.path().join("recordings"), &[1, 2, 3]);
-        let building =
-            BuildSettings { test_people: numbered(&[2]), threads: 2, seed: 5, ..BuildSettings::default() };
+        let building = BuildSettings {
+            test_people: numbered(&[2]),
+            threads: 2,
+            seed: 5,
+            replaces: true,
+            ..BuildSettings::default()
+        };
         let out = temporary.path().join("whole");
         build(&settings(), &building, &temporary.path().join("recordings"), &out).unwrap();
         Whole { building, contents: contents(&out), temporary }
@@ -154,7 +159,7 @@ impl Whole {
         self.temporary.path().join("recordings")
     }
 
-    /// A build that is broken off after so many recordings.
+    /// A build that is broken off after so many recordings, where nothing stood.
     fn interrupted(&self, recordings: usize) -> PathBuf {
         let out = self.temporary.path().join(format!("interrupted-{recordings}"));
         self.interrupt(recordings, &out);
@@ -170,7 +175,6 @@ impl Whole {
         let error = dataset::build(&settings(), &self.building, &[self.recordings()], out, &mut progress)
             .unwrap_err();
         assert!(matches!(error, DatasetError::Interrupted { .. }), "{error}");
-        assert!(!out.join("manifest.json").exists());
     }
 
     /// Builds again; how many recordings were there already, and whether an unfinished build was of something else.
@@ -185,6 +189,11 @@ impl Whole {
         dataset::build(settings, &self.building, &[self.recordings()], out, &mut progress).unwrap();
         begun.unwrap()
     }
+}
+
+/// Where the data set for `out` is built.
+fn unfinished(out: &Path) -> PathBuf {
+    out.with_extension("unfinished")
 }
 
 #[test]
@@ -208,11 +217,51 @@ fn a_build_that_was_interrupted_goes_on_and_gives_the_same() {
 }
 
 #[test]
+fn a_finished_data_set_stays_until_another_is_complete_and_is_replaced_only_when_asked() {
+    let whole = Whole::new();
+    let out = whole.temporary.path().join("whole");
+    let kept = BuildSettings { replaces: false, ..whole.building.clone() };
+    let refused = build(&settings(), &kept, &whole.recordings(), &out).unwrap_err().to_string();
+    for part in ["whole holds a finished data set (people 1, 2, 3; ", " windows of extension,", "--force"] {
+        assert!(refused.contains(part), "`{part}` is not in {refused}");
+    }
+    // Broken off, then refused at the end: nobody is left to train on.
+    whole.interrupt(7, &out);
+    assert_same(&whole.contents, &contents(&out), "after an interruption");
+    let all_sessions = vec!["train".to_owned(), "test".to_owned()];
+    let nothing = BuildSettings { test_sessions: all_sessions, ..whole.building.clone() };
+    let refused = build(&settings(), &nothing, &whole.recordings(), &out).unwrap_err();
+    assert!(matches!(refused, DatasetError::NothingToTrain { .. }), "{refused}");
+    assert_same(&whole.contents, &contents(&out), "after a build that failed");
+    let other = DatasetSettings { fallback_ms: 300.0, ..settings() };
+    build(&other, &whole.building, &whole.recordings(), &out).unwrap();
+    assert_eq!(StoredDataset::open(&out).unwrap().manifest().settings, other);
+    assert!(!unfinished(&out).exists());
+}
+
+#[test]
+fn a_data_set_names_its_classes_its_channels_and_its_unit_and_those_of_earlier_versions_are_read() {
+    let whole = Whole::new();
+    let out = whole.temporary.path().join("whole");
+    let manifest = StoredDataset::open(&out).unwrap().manifest().clone();
+    assert_eq!(manifest.classes, ["rest", "extension", "flexion", "ulnar", "radial", "grip"]);
+    assert_eq!((manifest.channel_names, manifest.unit.as_str()), (vec!["0".into(), "1".into()], "adc_counts"));
+    let path = out.join("manifest.json");
+    let mut json: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    for key in ["classes", "channel_names", "unit"] {
+        json.as_object_mut().unwrap().remove(key).unwrap();
+    }
+    fs::write(&path, json.to_string()).unwrap();
+    let dataset = StoredDataset::open(&out).unwrap();
+    assert!(dataset.manifest().classes.is_empty() && dataset.manifest().unit.is_empty());
+}
+
+#[test]
 fn what_was_damaged_meanwhile_is_built_anew() {
     let whole = Whole::new();
     let damaged = |name: &str, change: &dyn Fn(&mut Vec<u8>)| {
         let out = whole.interrupted(8);
-        let path = out.join(name);
+        let path = unfinished(&out).join(name);
         let mut bytes = fs::read(&path).unwrap();
         change(&mut bytes);
         fs::write(&path, bytes).unwrap();
@@ -220,7 +269,7 @@ fn what_was_damaged_meanwhile_is_built_anew() {
         assert_same(&whole.contents, &contents(&out), name);
         resumed
     };
-    let journal_bytes = fs::read(whole.interrupted(8).join("progress.jsonl")).unwrap().len();
+    let journal_bytes = fs::read(unfinished(&whole.interrupted(8)).join("progress.jsonl")).unwrap().len();
     for cut in [1, 50, 800, journal_bytes - 10, journal_bytes] {
         let resumed = damaged("progress.jsonl", &|bytes| bytes.truncate(bytes.len() - cut));
         assert!(resumed < 8, "{cut} bytes less: {resumed}");
