@@ -16,7 +16,7 @@ use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 use crate::Failure;
 use crate::channels::channels_or_default;
 use crate::options::{Base, WINDOW_KEYS, channel};
-use crate::output::{counted, print, tell};
+use crate::output::{counted, print, summed_up, tell};
 use crate::progress::Progress;
 use crate::provenance::PROGRAM;
 
@@ -221,13 +221,16 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
 
 fn text(options: &BuildOptions, manifest: &Manifest, duration: Option<Duration>) -> String {
     let mut text = format!(
-        "{}: {} windows of {}, {}; {} left out (manifest.json says why)\n",
+        "{}: {} windows of {}, {}\n",
         options.out.display(),
         manifest.windows,
         counted(manifest.windows_per_person.len(), "person", "people"),
         counted(manifest.recordings.len(), "recording", "recordings"),
-        manifest.skipped.len()
     );
+    if !manifest.skipped.is_empty() {
+        let skipped: Vec<_> = manifest.skipped.iter().map(|skipped| (skipped.kind, skipped)).collect();
+        text += &format!("{}\n", summed_up(&skipped, "manifest.json lists all of it"));
+    }
     text += &format!(
         "\n{:<12}{:>9}{:>12}{:>22}{:>34}\n",
         "gesture", "windows", "recordings", "no onset found", "onset, ms"

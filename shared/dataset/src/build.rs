@@ -9,8 +9,8 @@ use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
 use tendon_output::{OutputError, OutputFile};
 use tendon_provenance::Provenance;
-use tendon_recordings::SkippedEntry;
 use tendon_recordings::npy::{Element, MappedArray, NpyWriter};
+use tendon_recordings::{SkippedEntry, SkippedKind};
 use tendon_signal::DesignError;
 
 use crate::cut::{Outcome, trials};
@@ -197,6 +197,7 @@ fn for_networks(outcome: Outcome) -> Outcome {
     let gesture = trial.entry.gesture;
     Outcome::Skipped(SkippedEntry {
         path: trial.entry.file,
+        kind: SkippedKind::OtherGesture,
         reason: format!("sample {}: gesture `{gesture}` is none of {known}", trial.entry.first_sample),
     })
 }
@@ -387,7 +388,8 @@ impl<'a> Builder<'a> {
     }
 
     fn finish(self, building: &BuildSettings) -> Result<Manifest, DatasetError> {
-        let Builder { settings, layout, unit, place, journal, windows, recordings, skipped, notices, .. } = self;
+        let Builder { settings, layout, unit, place, journal, windows, recordings, skipped, notices, .. } =
+            self;
         let folder = place.unfinished();
         let count = windows.rows();
         if count == 0 {

@@ -10,7 +10,9 @@ use std::path::{Path, PathBuf};
 
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
-use tendon_recordings::{RecordedSession, RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
+use tendon_recordings::{
+    RecordedSession, RecordingError, Segment, SkippedEntry, SkippedKind, ozdemir, three_dc,
+};
 use tendon_signal::canonical_unit;
 
 use crate::recording::{Content, Recording};
@@ -185,9 +187,13 @@ impl Found {
         let is_text =
             !is_given && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
         if is_three_dc {
-            self.skip(path, "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG");
+            self.skip(
+                path,
+                SkippedKind::OtherFile,
+                "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG",
+            );
         } else if is_table(path) && !is_text {
-            self.skip(path, &unlabelled(path));
+            self.skip(path, SkippedKind::NoLabel, &unlabelled(path));
         }
         Ok(0)
     }
@@ -197,13 +203,13 @@ impl Found {
         if self.seen.insert(real) {
             self.candidates.push((layout, path.to_owned()));
         } else {
-            self.skip(path, "it was given twice and is used once");
+            self.skip(path, SkippedKind::Twice, "it was given twice and is used once");
         }
         1
     }
 
-    fn skip(&mut self, path: &Path, reason: &str) {
-        self.skipped.push(SkippedEntry { path: path.to_owned(), reason: reason.to_owned() });
+    fn skip(&mut self, path: &Path, kind: SkippedKind, reason: &str) {
+        self.skipped.push(SkippedEntry { path: path.to_owned(), kind, reason: reason.to_owned() });
     }
 }
 
@@ -254,11 +260,12 @@ fn three_dc_recordings(
         let names = "3dc_EMG_gesture_R_G.txt with R from 0 and G from 0 to 10";
         if repetitions.is_empty() {
             let reason = format!("it holds no files {names}");
-            skipped.push(SkippedEntry { path: folder.clone(), reason });
+            skipped.push(SkippedEntry { path: folder.clone(), kind: SkippedKind::NoTrial, reason });
         }
         for path in entries(folder)? {
             if is_table(&path) && three_dc::parse_file_name(&path).is_none() {
-                skipped.push(SkippedEntry { path, reason: format!("its name is not {names}") });
+                let reason = format!("its name is not {names}");
+                skipped.push(SkippedEntry { path, kind: SkippedKind::OtherFile, reason });
             }
         }
         recordings.extend(repetitions.into_iter().map(|repetition| Recording {
@@ -303,7 +310,7 @@ fn mat_recordings(
             Ok(None) => "neither its variable iD nor a number in its name identifies the person".to_owned(),
             Err(error) => error.below(file),
         };
-        skipped.push(SkippedEntry { path: file.clone(), reason });
+        skipped.push(SkippedEntry { path: file.clone(), kind: SkippedKind::Unreadable, reason });
     }
     let recording = |(person, file): (u16, &PathBuf)| Recording {
         path: file.clone(),

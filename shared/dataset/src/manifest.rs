@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
 use tendon_provenance::Provenance;
-use tendon_recordings::{Channel, SkippedEntry};
+use tendon_recordings::{Channel, SkippedEntry, SkippedKind};
 
 use crate::files::MANIFEST;
 use crate::listing::Layout;
@@ -55,6 +55,9 @@ pub struct Manifest {
     pub recordings: Vec<RecordingEntry>,
     /// Everything that was not used.
     pub skipped: Vec<SkippedEntry>,
+    /// How much of it there is of each kind.
+    #[serde(default)]
+    pub skipped_by_kind: BTreeMap<SkippedKind, usize>,
     /// What the user should know about the recordings.
     pub notices: Vec<String>,
     /// Program, machine, options and hashes of the recordings.
@@ -114,6 +117,7 @@ impl Manifest {
             split,
             training_statistics,
             recordings,
+            skipped_by_kind: SkippedKind::count(skipped.iter().map(|skipped| skipped.kind)),
             skipped,
             notices,
             provenance: Provenance::default(),

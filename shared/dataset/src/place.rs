@@ -221,6 +221,9 @@ mod tests {
         assert!(names(place.unfinished()).is_empty());
         write(place.unfinished(), &[MANIFEST, PROGRESS]);
         place.take().unwrap();
-        assert_eq!((names(&out), names(folder.path())), (vec![MANIFEST.to_owned()], vec!["windows".to_owned()]));
+        assert_eq!(
+            (names(&out), names(folder.path())),
+            (vec![MANIFEST.to_owned()], vec!["windows".to_owned()])
+        );
     }
 }

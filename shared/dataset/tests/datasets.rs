@@ -17,7 +17,7 @@ use tendon_dataset::{
 };
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
-use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder};
+use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder, SkippedKind};
 use tendon_signal::WindowSettings;
 
 /// People of a data set that counts them.
@@ -245,7 +245,10 @@ fn a_data_set_names_its_classes_its_channels_and_its_unit_and_those_of_earlier_v
     let out = whole.temporary.path().join("whole");
     let manifest = StoredDataset::open(&out).unwrap().manifest().clone();
     assert_eq!(manifest.classes, ["rest", "extension", "flexion", "ulnar", "radial", "grip"]);
-    assert_eq!((manifest.channel_names, manifest.unit.as_str()), (vec!["0".into(), "1".into()], "adc_counts"));
+    assert_eq!(
+        (manifest.channel_names, manifest.unit.as_str()),
+        (vec!["0".into(), "1".into()], "adc_counts")
+    );
     let path = out.join("manifest.json");
     let mut json: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     for key in ["classes", "channel_names", "unit"] {
@@ -619,6 +622,9 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     assert!(reason("missing.csv", "labels.csv, line 8, names it, but there is no such file"), "{skipped:?}");
     assert!(reason("monday.csv", "gesture `fist` is none of rest, extension"), "{skipped:?}");
     assert!(reason("monday.csv", "it ends at sample 4100, but the file has only 4000"), "{skipped:?}");
+    use SkippedKind::{CutOff, NoLabel, NotThere, OtherGesture};
+    let kinds = [OtherGesture, NoLabel, NotThere, CutOff].map(|kind| (kind, 1));
+    assert_eq!(manifest.skipped_by_kind, kinds.into());
 
     // The filter runs through the whole file: the same samples, in one piece.
     let whole = temporary.path().join("whole");

@@ -336,7 +336,7 @@ impl Run<'_> {
             .collect();
         let first = recordings.first().cloned();
         let (usable, skipped) = with_trials(&settings, recordings);
-        results.missing.extend(skipped);
+        results.missing.extend(skipped.iter().map(ToString::to_string));
         for strategy in Strategy::ALL {
             pipeline_settings.decision.strategy = strategy;
             let mut pipeline = models.pipeline(&self.settings.runtime_library, &pipeline_settings)?;

@@ -214,6 +214,7 @@ mod tests {
             training_statistics: TrainingStatistics::default(),
             recordings: Vec::new(),
             skipped: Vec::new(),
+            skipped_by_kind: BTreeMap::new(),
             notices: Vec::new(),
             provenance: Default::default(),
         }
