@@ -41,7 +41,8 @@ fn build(
     path: &Path,
     out: &Path,
 ) -> Result<Manifest, DatasetError> {
-    dataset::build(settings, building, &[path.to_owned()], out, &mut |_| ControlFlow::Continue(()))
+    let building = BuildSettings { replaces: true, ..building.clone() };
+    dataset::build(settings, &building, &[path.to_owned()], out, &mut |_| ControlFlow::Continue(()))
 }
 
 /// Two channels of something like noise, another one for each seed.
@@ -221,8 +222,10 @@ fn a_finished_data_set_stays_until_another_is_complete_and_is_replaced_only_when
     let whole = Whole::new();
     let out = whole.temporary.path().join("whole");
     let kept = BuildSettings { replaces: false, ..whole.building.clone() };
-    let refused = build(&settings(), &kept, &whole.recordings(), &out).unwrap_err().to_string();
-    for part in ["whole holds a finished data set (people 1, 2, 3; ", " windows of extension,", "--force"] {
+    let mut silent = |_: Progress<'_>| ControlFlow::Continue(());
+    let refused = dataset::build(&settings(), &kept, &[whole.recordings()], &out, &mut silent);
+    let refused = refused.unwrap_err().to_string();
+    for part in ["whole holds a finished data set (people 1, 2, 3; ", " windows of flexion, grip, rest)", "--force"] {
         assert!(refused.contains(part), "`{part}` is not in {refused}");
     }
     // Broken off, then refused at the end: nobody is left to train on.
@@ -447,7 +450,8 @@ fn nobody_of_the_real_people_is_on_both_sides_of_the_test() {
     assert_eq!(manifest.split.train_people, [1, 22]);
     check_split(&out, &numbered(&[13, 14]));
 
-    let divided = BuildSettings { test_people: numbered(&[14]), ..BuildSettings::default() };
+    let divided =
+        BuildSettings { test_people: numbered(&[14]), replaces: true, ..BuildSettings::default() };
     let error = dataset::build(&settings, &divided, &paths, &out, &mut silent).unwrap_err();
     assert!(matches!(error, DatasetError::Split(SplitError::TwinsDivided { .. })), "{error}");
     // Where only one of the two is there, nothing is shared.
