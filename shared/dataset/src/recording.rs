@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use tendon_identity::PersonId;
 use tendon_recordings::{
     Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Segment, SkippedEntry,
-    ozdemir, three_dc,
+    SkippedKind, ozdemir, three_dc,
 };
 
 use crate::settings::DatasetSettings;
@@ -101,7 +101,7 @@ impl Recording {
             Content::ThreeDc { repetition } => format!("repetition {repetition}: {problem}{option}"),
             Content::OzdemirMat | Content::Table { .. } => format!("{problem}{option}"),
         };
-        SkippedEntry { path: self.path.clone(), reason }
+        SkippedEntry { path: self.path.clone(), kind: SkippedKind::Unreadable, reason }
     }
 
     /// Its files.

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
 
-use crate::segment::{Segment, SkippedEntry};
+use crate::segment::{Segment, SkippedEntry, SkippedKind};
 
 pub use problem::{LabelsError, LabelsProblem};
 
@@ -192,7 +192,7 @@ impl LabelsOfFiles {
             }
             Err(error) => {
                 let reason = format!("{FILE_NAME}, line {line}: {error}");
-                skipped.push(SkippedEntry { path: file, reason });
+                skipped.push(SkippedEntry { path: file, kind: SkippedKind::OtherGesture, reason });
             }
         }
         Ok(())
@@ -211,8 +211,9 @@ impl LabelsOfFiles {
             if let Err(error) = tendon_input::open(&file) {
                 let is_missing = error.kind() == ErrorKind::NotFound;
                 let problem = if is_missing { "there is no such file".to_owned() } else { error.to_string() };
+                let kind = if is_missing { SkippedKind::NotThere } else { SkippedKind::Unreadable };
                 let reason = format!("{FILE_NAME}, line {line}, names it, but {problem}");
-                skipped.push(SkippedEntry { path: file, reason });
+                skipped.push(SkippedEntry { path: file, kind, reason });
                 continue;
             }
             labels.sort_by_key(|label| label.start_sample);
@@ -288,7 +289,7 @@ fn list_unlabelled(
             list_unlabelled(&path, labels_path, labels_of, skipped);
         } else if is_table(&path) && path != labels_path && !labels_of.contains_key(&path) {
             let reason = format!("{} has no label for it", labels_path.display());
-            skipped.push(SkippedEntry { path, reason });
+            skipped.push(SkippedEntry { path, kind: SkippedKind::NoLabel, reason });
         }
     }
 }

@@ -35,6 +35,6 @@ pub use check::{CueSpan, Summary, check};
 pub use error::RecordingError;
 pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, SimulatedFrom};
 pub use replay::{ReplayBlock, ReplayStream};
-pub use segment::{Notice, Segment, SkippedEntry};
+pub use segment::{Notice, Segment, SkippedEntry, SkippedKind};
 pub use source::{Frame, RecordingSettings, RecordingSource};
 pub use table::Channel;
