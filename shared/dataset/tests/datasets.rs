@@ -225,7 +225,9 @@ fn a_finished_data_set_stays_until_another_is_complete_and_is_replaced_only_when
     let mut silent = |_: Progress<'_>| ControlFlow::Continue(());
     let refused = dataset::build(&settings(), &kept, &[whole.recordings()], &out, &mut silent);
     let refused = refused.unwrap_err().to_string();
-    for part in ["whole holds a finished data set (people 1, 2, 3; ", " windows of flexion, grip, rest)", "--force"] {
+    for part in
+        ["whole holds a finished data set (people 1, 2, 3; ", " windows of flexion, grip, rest)", "--force"]
+    {
         assert!(refused.contains(part), "`{part}` is not in {refused}");
     }
     // Broken off, then refused at the end: nobody is left to train on.
@@ -450,8 +452,7 @@ fn nobody_of_the_real_people_is_on_both_sides_of_the_test() {
     assert_eq!(manifest.split.train_people, [1, 22]);
     check_split(&out, &numbered(&[13, 14]));
 
-    let divided =
-        BuildSettings { test_people: numbered(&[14]), replaces: true, ..BuildSettings::default() };
+    let divided = BuildSettings { test_people: numbered(&[14]), replaces: true, ..BuildSettings::default() };
     let error = dataset::build(&settings, &divided, &paths, &out, &mut silent).unwrap_err();
     assert!(matches!(error, DatasetError::Split(SplitError::TwinsDivided { .. })), "{error}");
     // Where only one of the two is there, nothing is shared.
@@ -645,6 +646,100 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     let window = parts.window(grip.first_window as usize);
     assert_eq!(window[..100 - offset], whole.window(at)[offset..100]);
     assert_eq!(window[100..200 - offset], whole.window(at)[100 + offset..]);
+}
+
+/// EDF+ of two channels at 1000 Hz in uV, as many whole seconds of [`noise`], with annotations `(start_s, duration_s, text)`.
+fn write_edf(path: &Path, seed: usize, seconds: usize, annotations: &[(f64, f64, &str)]) {
+    const TEXT_BYTES: usize = 80;
+    let mut bytes = format!("{:<184}{:<8}{:<44}{seconds:<8}{:<8}{:<4}", 0, 1024, "EDF+C", 1, 3).into_bytes();
+    for (values, width) in [
+        (["EMG 1", "EMG 2", "EDF Annotations"], 16),
+        ([""; 3], 80),
+        (["uV", "uV", ""], 8),
+        (["-32768"; 3], 8),
+        (["32767"; 3], 8),
+        (["-32768"; 3], 8),
+        (["32767"; 3], 8),
+        ([""; 3], 80),
+        (["1000", "1000", "40"], 8),
+        ([""; 3], 32),
+    ] {
+        bytes.extend(values.map(|value| format!("{value:<width$}")).concat().into_bytes());
+    }
+    let samples: Vec<[i32; 2]> = noise(seed, seconds * 1000).collect();
+    for (second, samples) in samples.chunks(1000).enumerate() {
+        for channel in 0..2 {
+            bytes.extend(samples.iter().flat_map(|sample| (sample[channel] as i16).to_le_bytes()));
+        }
+        let mut text = format!("+{second}\x14\x14\0");
+        for (start_s, duration_s, gesture) in
+            annotations.iter().filter(|(start_s, ..)| *start_s as usize == second)
+        {
+            text += &format!("+{start_s}\x15{duration_s}\x14{gesture}\x14\0");
+        }
+        bytes.extend(text.as_bytes());
+        bytes.resize(bytes.len() + TEXT_BYTES - text.len(), 0);
+    }
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn annotations_say_what_labels_would() {
+    let temporary = tempfile::tempdir().unwrap();
+    let (own, tables, named) =
+        (temporary.path().join("own"), temporary.path().join("tables"), temporary.path().join("named"));
+    let annotations =
+        [(0.5, 1.5, "rest"), (2.25, 1.25, "Grip"), (4.0, 0.5, "extension"), (4.5, 0.0, "good one")];
+    write_edf(&own.join("all/sub-anna_ses-1_task-grasp_emg.edf"), 1, 5, &annotations);
+    write_edf(&own.join("ben/later.edf"), 2, 5, &annotations);
+    write_edf(&own.join("ben/nothing.edf"), 2, 5, &[]);
+    let labels = |file: &str, person: &str, session: &str| {
+        ["rest,500,2000", "grip,2250,3500", "extension,4000,4500"]
+            .map(|trial| format!("{file},{person},{session},0,{trial}\n"))
+            .concat()
+    };
+    let header = "file,person,session,repetition,gesture,start_sample,end_sample\n";
+    for (folder, ending) in [(&tables, "csv"), (&named, "edf")] {
+        let lines = labels(&format!("a.{ending}"), "anna", "1") + &labels(&format!("b.{ending}"), "ben", "1");
+        fs::create_dir_all(folder).unwrap();
+        fs::write(folder.join("labels.csv"), header.to_owned() + &lines).unwrap();
+    }
+    for (name, seed) in [("a", 1), ("b", 2)] {
+        write_table(&tables.join(format!("{name}.csv")), seed, 5000);
+        write_edf(&named.join(format!("{name}.edf")), seed, 5, &[(0.0, 5.0, "ulnar")]);
+    }
+    let built = |folder: &Path, recording_rate_hz| {
+        let settings = DatasetSettings { recording_rate_hz, ..settings() };
+        let out = folder.with_extension("out");
+        let manifest = build(&settings, &BuildSettings::default(), folder, &out).unwrap();
+        let stored = StoredDataset::open(&out).unwrap();
+        let windows: Vec<f32> = (0..stored.len()).flat_map(|window| stored.window(window).to_vec()).collect();
+        let trials: Vec<_> = manifest
+            .recordings
+            .iter()
+            .map(|trial| (trial.person, trial.gesture, trial.first_sample, trial.samples, trial.windows))
+            .collect();
+        (manifest, windows, trials)
+    };
+    let (manifest, windows, trials) = built(&own, None);
+    assert_eq!(trials.len(), 6);
+    let (_, table_windows, table_trials) = built(&tables, Some(1000.0));
+    assert_eq!(trials, table_trials);
+    assert!(windows == table_windows, "windows of the annotations differ from those of the labels");
+    // Where there are labels, these count.
+    let (_, named_windows, named_trials) = built(&named, None);
+    assert!(named_windows == windows && named_trials == trials);
+    assert_eq!(manifest.recordings[0].session, "ses-1_task-grasp_emg");
+    assert_eq!(manifest.skipped.len(), 1, "{:?}", manifest.skipped);
+    assert!(manifest.skipped[0].reason.contains("no annotation or marker in it names a gesture"));
+    let unit = |folder: &Path| dataset::list(&settings(), &[folder.to_owned()]).unwrap().unit;
+    assert_eq!([unit(&own), unit(&named)], ["uV", "uV"]);
+    let other_rate = DatasetSettings { recording_rate_hz: Some(2000.0), ..settings() };
+    let message = build(&other_rate, &BuildSettings::default(), &own, &temporary.path().join("x"))
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("was sampled at 1000 Hz, but sample_rate_hz = 2000"), "{message}");
 }
 
 #[test]
