@@ -225,7 +225,9 @@ fn a_finished_data_set_stays_until_another_is_complete_and_is_replaced_only_when
     let mut silent = |_: Progress<'_>| ControlFlow::Continue(());
     let refused = dataset::build(&settings(), &kept, &[whole.recordings()], &out, &mut silent);
     let refused = refused.unwrap_err().to_string();
-    for part in ["whole holds a finished data set (people 1, 2, 3; ", " windows of flexion, grip, rest)", "--force"] {
+    for part in
+        ["whole holds a finished data set (people 1, 2, 3; ", " windows of flexion, grip, rest)", "--force"]
+    {
         assert!(refused.contains(part), "`{part}` is not in {refused}");
     }
     // Broken off, then refused at the end: nobody is left to train on.
@@ -450,8 +452,7 @@ fn nobody_of_the_real_people_is_on_both_sides_of_the_test() {
     assert_eq!(manifest.split.train_people, [1, 22]);
     check_split(&out, &numbered(&[13, 14]));
 
-    let divided =
-        BuildSettings { test_people: numbered(&[14]), replaces: true, ..BuildSettings::default() };
+    let divided = BuildSettings { test_people: numbered(&[14]), replaces: true, ..BuildSettings::default() };
     let error = dataset::build(&settings, &divided, &paths, &out, &mut silent).unwrap_err();
     assert!(matches!(error, DatasetError::Split(SplitError::TwinsDivided { .. })), "{error}");
     // Where only one of the two is there, nothing is shared.
