@@ -162,6 +162,28 @@ fn a_data_set_is_built_from_real_recordings() {
 }
 
 #[test]
+fn the_recipe_of_the_models_page_works_on_3dc_as_it_is_downloaded() {
+    let page = std::fs::read_to_string(repository().join("docs/models.md")).unwrap();
+    let recipe = "dataset build data/3dc --out dataset --test-people 19,20,22";
+    assert!(page.contains(&format!("tendon {recipe}\n")), "the page has another recipe: test that one");
+    let arguments: Vec<&str> = recipe.split(' ').collect();
+    let build = TendonBuilder::command(&unique_session(), &arguments);
+    let data = build.folder().join("data/3dc");
+    // The last one is on another disk.
+    let elsewhere = tempfile::tempdir().unwrap();
+    for (folder, person) in [(&*data, 18), (&data, 19), (&data, 20), (elsewhere.path(), 22)] {
+        let session = folder.join(format!("Participant{person}/train"));
+        write_three_dc(&session.join("EMG"));
+        std::fs::create_dir(session.join("IMU")).unwrap();
+        std::fs::write(session.join("IMU/3dc_IMU_gesture_0_0.txt"), "1,2,3,4,5,6,7,8,9\n").unwrap();
+    }
+    std::os::unix::fs::symlink(elsewhere.path().join("Participant22"), data.join("Participant22")).unwrap();
+    let ended = build.end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
+    assert!(ended.output.contains("windows of 4 people, 12 recordings; 1 left out"), "{ended:#?}");
+}
+
+#[test]
 fn a_data_set_is_cut_with_the_filter_of_the_configuration() {
     let folder = tempfile::tempdir().unwrap();
     let recordings = folder.path().join("Participant50/train/EMG");

@@ -125,6 +125,9 @@ impl Recording {
             let rest = summary.notices.len() - NOTICES_SHOWN;
             tracing::warn!("and {rest} more such notices about {}", path.display());
         }
+        if let Some(notice) = stream.rate_notice() {
+            tracing::info!("{notice}");
+        }
         let columns = summary.channels.join(", ");
         if settings.replay.channels.is_none() && !tendon_recordings::three_dc::is_three_dc(path) {
             tracing::warn!(

@@ -351,7 +351,12 @@ impl<'a> Builder<'a> {
         self.finished += 1;
         self.recordings.extend(finished.trials);
         self.skipped.extend(finished.skipped);
-        self.notices.extend(finished.notices);
+        for notice in finished.notices {
+            // Such as one about the rate, which all recordings have.
+            if !self.notices.contains(&notice) {
+                self.notices.push(notice);
+            }
+        }
     }
 
     /// Takes in the next step; `Some` with the recordings finished so far when it ends one.

@@ -125,11 +125,12 @@ pub(crate) fn trials(
     let channels = settings.channels.len();
     let rate_hz = settings.sample_rate_hz;
     let source = recording.open(settings)?;
-    let notices = source.notices().iter().map(ToString::to_string).collect();
+    let mut notices: Vec<String> = source.notices().iter().map(ToString::to_string).collect();
     let mut filter =
         settings.filter.as_ref().map(|filter| EmgFilter::new(filter, channels, rate_hz)).transpose()?;
     // Taken by pieces: the blocks' length is for replays.
     let mut stream = ReplayStream::of(source, rate_hz, 1)?;
+    notices.extend(stream.rate_notice().map(|notice| notice.to_string()));
     let segments = stream.source().segments().to_vec();
     let is_divided = segments.iter().any(|segment| segment.end_sample.is_some());
     let mut piece = Vec::new();

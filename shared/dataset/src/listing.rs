@@ -90,12 +90,13 @@ pub struct Recordings {
 ///
 /// | found | recordings |
 /// |---|---|
-/// | a folder `ParticipantP/{train,test}/EMG` | 3DC: its files `3dc_EMG_gesture_R_G.txt`, each repetition R joined |
+/// | a folder `ParticipantP/{train,test}/EMG` | 3DC: its files `3dc_EMG_gesture_R_G.txt`, each repetition R joined; the `IMU` folder beside it is passed over |
 /// | files `.mat` | Ozdemir 2022: one a person |
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
 /// | a folder with `labels.csv` | the tables that it names |
 ///
-/// Files that look like recordings but match none of these are listed as skipped.
+/// Files that look like recordings but match none of these are listed as skipped. Links to folders are followed; of each path, a
+/// folder is looked at once, however many links lead to it.
 ///
 /// # Errors
 /// When there is no recording below one of the paths or none that can be used, the layouts differ, the same recording is
@@ -105,7 +106,10 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
     let mut found = Found::default();
     for path in paths {
         let skipped_before = found.skipped.len();
-        if found.gather(path, true)? == 0 {
+        found.entered.clear();
+        let candidates = found.gather(path, true)?;
+        found.skip_without_emg();
+        if candidates == 0 {
             let hint = found.skipped.get(skipped_before);
             let hint = hint.map(|skipped| format!(" ({}: {})", skipped.path.display(), skipped.reason));
             return Err(ListingError::NoRecordings { path: path.clone(), hint: hint.unwrap_or_default() });
@@ -148,6 +152,10 @@ struct Found {
     candidates: Vec<(Layout, PathBuf)>,
     /// The candidates as the system names them.
     seen: BTreeSet<PathBuf>,
+    /// The folders below the present path that were looked into, as the system names them.
+    entered: BTreeSet<PathBuf>,
+    /// Folders of 3DC with something else, such as the armband's movements.
+    without_emg: Vec<PathBuf>,
     skipped: Vec<SkippedEntry>,
 }
 
@@ -155,18 +163,26 @@ impl Found {
     /// Looks at `path` and below; the result is how many candidates are there.
     fn gather(&mut self, path: &Path, is_given: bool) -> Result<usize, ListingError> {
         if path.is_dir() {
-            if three_dc::origin(path).is_some() {
+            // Links lead to the same folder twice, or back up.
+            if !self.entered.insert(real(path)) {
+                return Ok(0);
+            }
+            if three_dc::origin_through_links(path).is_some() {
+                if !three_dc::holds_emg(path)? {
+                    self.without_emg.push(path.to_owned());
+                    return Ok(0);
+                }
                 return Ok(self.add(Layout::ThreeDc, path));
             }
             if path.join(labels::FILE_NAME).is_file() {
                 return Ok(self.add(Layout::Labelled, path));
             }
             let mut count = 0;
-            for entry in entries(path)? {
-                // A link may lead back up.
-                if !(entry.is_dir() && entry.is_symlink()) {
-                    count += self.gather(&entry, false)?;
-                }
+            let (links, others): (Vec<_>, Vec<_>) =
+                entries(path)?.into_iter().partition(|entry| entry.is_symlink());
+            // A folder is known by its own name rather than by that of a link.
+            for entry in others.iter().chain(&links) {
+                count += self.gather(entry, false)?;
             }
             return Ok(count);
         }
@@ -199,13 +215,24 @@ impl Found {
     }
 
     fn add(&mut self, layout: Layout, path: &Path) -> usize {
-        let real = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        if self.seen.insert(real) {
+        if self.seen.insert(real(path)) {
             self.candidates.push((layout, path.to_owned()));
         } else {
             self.skip(path, SkippedKind::Twice, "it was given twice and is used once");
         }
         1
+    }
+
+    /// Lists the folders of 3DC without EMG in one entry.
+    fn skip_without_emg(&mut self) {
+        let folders = std::mem::take(&mut self.without_emg);
+        let Some(first) = folders.first() else { return };
+        let others = match folders.len() - 1 {
+            0 => String::new(),
+            1 => "; so is one other folder like it".to_owned(),
+            others => format!("; so are {others} other folders like it"),
+        };
+        self.skip(first, SkippedKind::OtherFile, &format!("it holds no EMG and is passed over{others}"));
     }
 
     fn skip(&mut self, path: &Path, kind: SkippedKind, reason: &str) {
@@ -230,6 +257,11 @@ fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> ListingError + '_ {
     |reason| RecordingError::Open { path: path.to_owned(), reason }.into()
 }
 
+/// A file or folder as the system names it, without links.
+fn real(path: &Path) -> PathBuf {
+    fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
+}
+
 /// What a folder holds, in order.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ListingError> {
     let mut entries = Vec::new();
@@ -247,7 +279,7 @@ fn three_dc_recordings(
 ) -> Result<Vec<Recording>, ListingError> {
     let mut by_origin = BTreeMap::new();
     for folder in folders {
-        let Some(origin) = three_dc::origin(folder) else { continue };
+        let Some(origin) = three_dc::origin_through_links(folder) else { continue };
         if let Some(first) = by_origin.insert(origin, folder) {
             let (person, session) = origin;
             let what = format!("the {} session of person {person}", session.name());
@@ -374,8 +406,7 @@ fn labelled_recordings(
             if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {
                 file.person = session.person;
             }
-            let real = fs::canonicalize(&file.path).unwrap_or_else(|_| file.path.clone());
-            if let Some(first) = folder_of_file.insert(real, folder) {
+            if let Some(first) = folder_of_file.insert(real(&file.path), folder) {
                 let what = file.path.display().to_string();
                 return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
             }

@@ -17,7 +17,7 @@ use tendon_dataset::{
 };
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
-use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder, SkippedKind};
+use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder, SkippedEntry, SkippedKind};
 use tendon_signal::WindowSettings;
 
 /// People of a data set that counts them.
@@ -854,6 +854,58 @@ fn a_mat_file_a_person_is_cut_by_its_timetable() {
     let message = message(&settings, &nobody);
     assert!(message.contains("none of the recordings found can be used"), "{message}");
     assert!(message.contains("neither its variable iD nor a number in its name"), "{message}");
+}
+
+/// 3DC as it is published: the movements of the armband lie beside its EMG.
+fn write_published_three_dc(folder: &Path, people: &[u16]) {
+    write_three_dc(folder, people);
+    for (person, session) in people.iter().flat_map(|person| [(person, "train"), (person, "test")]) {
+        let imu = folder.join(format!("Participant{person}/{session}/IMU"));
+        write_table(&imu.join("3dc_IMU_gesture_0_0.txt"), 1, 50);
+    }
+}
+
+#[test]
+fn the_published_three_dc_is_read_without_the_movements_of_the_armband() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path().join("3dc");
+    write_published_three_dc(&folder, &[1, 2]);
+    let found = dataset::list(&settings(), std::slice::from_ref(&folder)).unwrap();
+    assert_eq!((found.layout, found.recordings.len()), (Layout::ThreeDc, 8));
+    assert!(found.recordings.iter().all(|recording| recording.path.ends_with("EMG")));
+    let imu = folder.join("Participant1/test/IMU");
+    let reason = "it holds no EMG and is passed over; so are 3 other folders like it";
+    let kind = SkippedKind::OtherFile;
+    assert_eq!(found.skipped, [SkippedEntry { path: imu.clone(), kind, reason: reason.to_owned() }]);
+    let message = dataset::list(&settings(), &[imu]).unwrap_err().to_string();
+    assert!(message.contains("no recordings found (") && message.contains("it holds no EMG"), "{message}");
+}
+
+#[test]
+fn links_to_folders_are_followed_once_and_never_in_a_circle() {
+    use std::os::unix::fs::symlink;
+    let temporary = tempfile::tempdir().unwrap();
+    write_published_three_dc(&temporary.path().join("disk"), &[1]);
+    let person = temporary.path().join("disk/Participant1");
+    let recordings = |folder: &Path| {
+        let found = dataset::list(&settings(), &[folder.to_owned()]).unwrap();
+        (found.recordings.len(), found.skipped.len())
+    };
+    let linked = temporary.path().join("linked");
+    fs::create_dir(&linked).unwrap();
+    symlink(&person, linked.join("Participant1")).unwrap();
+    assert_eq!(recordings(&linked), (4, 1));
+    // The same folder again by another name, and the way back up.
+    symlink(&person, linked.join("again")).unwrap();
+    symlink(&linked, linked.join("up")).unwrap();
+    symlink("nowhere", linked.join("dangling")).unwrap();
+    assert_eq!(recordings(&linked), (4, 1));
+    // A name that does not say whose recordings they are.
+    let renamed = temporary.path().join("renamed");
+    fs::create_dir(&renamed).unwrap();
+    symlink(&person, renamed.join("first")).unwrap();
+    assert_eq!(recordings(&renamed), (4, 1));
+    assert_eq!(recordings(&renamed.join("first")), (4, 1));
 }
 
 #[test]

@@ -67,8 +67,8 @@ pub enum RecordingError {
     },
     /// Rates between which no resampler is made.
     #[error(
-        "cannot resample from {from_hz} Hz to {to_hz} Hz: both must be whole numbers above 0 whose ratio, in \
-         lowest terms, has no number above 100000; or run the session at {from_hz} Hz"
+        "cannot resample from {from_hz} Hz to {to_hz} Hz: both must be above 0, and neither more than 100000 times the \
+         other; check the rate of the recording"
     )]
     Resampling {
         /// Rate of the recording.

@@ -18,10 +18,14 @@ use tendon_gesture::Gesture;
 use tendon_signal::Resampler;
 
 use crate::error::RecordingError;
+use crate::segment::Notice;
 use crate::source::{FRAMES_AT_ONCE, RecordingSettings, RecordingSource};
 
-/// The largest number in a resampling ratio: the low-pass has 20 times as many taps.
+/// The largest number in a resampling ratio: the low-pass has 20 or 32 times as many taps.
 const MAX_RATIO: u64 = 100_000;
+
+/// How far from the true ratio an approximation by smaller numbers may be.
+const SMALL_ERROR: f64 = 1e-6;
 
 /// What [`ReplayStream::next_block`] and [`ReplayStream::next_piece`] say beside the samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +52,8 @@ struct CueStart {
 #[derive(Debug)]
 pub struct ReplayStream {
     source: RecordingSource,
+    /// Rate of the outputs, in Hz.
+    sample_rate_hz: f64,
     /// Output samples …
     up: u64,
     /// … for this many input samples, in lowest terms.
@@ -107,7 +113,10 @@ impl ReplayStream {
         let mut resampler = None;
         let (mut padding, mut skip, mut outputs_of_frame) = (0, 0, 1);
         if up != down {
-            let resampler = resampler.insert(Resampler::new(up as usize, down as usize, channels)?);
+            let is_whole = [source.sample_rate_hz(), sample_rate_hz].map(f64::fract) == [0.0, 0.0];
+            // Of whole rates as ever, so that what models were trained on stays the same, bit for bit.
+            let make = if is_whole { Resampler::new } else { Resampler::fine };
+            let resampler = resampler.insert(make(up as usize, down as usize, channels)?);
             // Output j lies at the upsampled place j × down, the first input there at padding × up + lag:
             // with the right padding that is an output.
             let lag = (resampler.delay_samples() * down as f64).round() as u64;
@@ -124,6 +133,7 @@ impl ReplayStream {
         let coming = VecDeque::with_capacity(source.segments().len());
         Ok(ReplayStream {
             source,
+            sample_rate_hz,
             up,
             down,
             resampler,
@@ -139,6 +149,22 @@ impl ReplayStream {
             current,
             coming,
             dropped_samples: 0,
+        })
+    }
+
+    /// A word about the rate, if it is not brought to the outputs' exactly.
+    pub fn rate_notice(&self) -> Option<Notice> {
+        let (from_hz, to_hz) = (self.source.sample_rate_hz(), self.sample_rate_hz);
+        let (up, down) = (self.up, self.down);
+        let error_ppm = (from_hz * up as f64 / (to_hz * down as f64) - 1.0) * 1e6;
+        // What remains of the numbers themselves.
+        const NO_ERROR_PPM: f64 = 1e-6;
+        (error_ppm.abs() > NO_ERROR_PPM).then_some(Notice::RateApproximated {
+            from_hz,
+            to_hz,
+            up,
+            down,
+            error_ppm,
         })
     }
 
@@ -299,7 +325,8 @@ fn resample(resampler: Option<&mut Resampler>, frames: &[f32], pending: &mut Vec
     }
 }
 
-/// Output and input samples of the ratio, in lowest terms.
+/// Output and input samples of the ratio, in lowest terms: exact for whole rates, otherwise the smallest numbers of a
+/// continued fraction that come within [`SMALL_ERROR`], or the largest within [`MAX_RATIO`].
 fn ratio(from_hz: f64, to_hz: f64) -> Result<(u64, u64), RecordingError> {
     if from_hz == to_hz {
         return Ok((1, 1));
@@ -317,5 +344,131 @@ fn ratio(from_hz: f64, to_hz: f64) -> Result<(u64, u64), RecordingError> {
             return Ok((up, down));
         }
     }
-    Err(RecordingError::Resampling { from_hz, to_hz })
+    approximate(to_hz / from_hz).ok_or(RecordingError::Resampling { from_hz, to_hz })
+}
+
+/// The first convergent of the continued fraction of `ratio` within [`SMALL_ERROR`] of it, or the last one within
+/// [`MAX_RATIO`]; `None` if there is none.
+fn approximate(ratio: f64) -> Option<(u64, u64)> {
+    if !(ratio.is_finite() && ratio > 0.0) {
+        return None;
+    }
+    let (mut before, mut last) = ((0, 1), (1, 0));
+    let mut found = None;
+    let mut rest = ratio;
+    loop {
+        let whole = rest.floor();
+        if whole > MAX_RATIO as f64 {
+            return found;
+        }
+        let next = (whole as u64 * last.0 + before.0, whole as u64 * last.1 + before.1);
+        if next.0.max(next.1) > MAX_RATIO {
+            return found;
+        }
+        (before, last) = (last, next);
+        if last.0 > 0 {
+            found = Some(last);
+            let error = last.0 as f64 / last.1 as f64 / ratio - 1.0;
+            if error.abs() < SMALL_ERROR {
+                return found;
+            }
+        }
+        rest = 1.0 / (rest - whole);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::segment::Segment;
+
+    /// Tones from 20 to 450 Hz, each with a phase of its own, at time `time_s`.
+    fn tones(time_s: f64) -> f64 {
+        (2..=45).map(|tone| (TAU * 10.0 * f64::from(tone) * time_s + f64::from(tone * tone)).cos()).sum()
+    }
+
+    fn stream(from_hz: f64, to_hz: f64, seconds: f64) -> ReplayStream {
+        let samples = (seconds * from_hz) as usize;
+        let column = (0..samples).map(|sample| tones(sample as f64 / from_hz) as f32).collect();
+        let segment = Segment { file: "tones".into(), repetition: None, cue: None, end_sample: None };
+        let source = RecordingSource::of_columns(vec![column], vec![segment], from_hz);
+        ReplayStream::of(source, to_hz, 10).unwrap()
+    }
+
+    /// Root mean square of the difference to the true signal at the output's instants, relative to the signal, in dB.
+    fn error_db(from_hz: f64, to_hz: f64) -> f64 {
+        let mut stream = stream(from_hz, to_hz, 4.0);
+        let mut block = [0.0; 10];
+        let (mut error, mut signal) = (0.0, 0.0);
+        while let Some(ReplayBlock { first_sample, .. }) = stream.next_block(&mut block).unwrap() {
+            for (sample, value) in (first_sample..).zip(block) {
+                let time_s = sample as f64 / to_hz;
+                // The recording has no more to tell about its ends.
+                if (0.1..3.9).contains(&time_s) {
+                    error += (f64::from(value) - tones(time_s)).powi(2);
+                    signal += tones(time_s).powi(2);
+                }
+            }
+        }
+        10.0 * (error / signal).log10()
+    }
+
+    #[test]
+    fn rates_of_amplifiers_that_are_no_whole_numbers_are_brought_to_the_sessions_within_60_db() {
+        for (from_hz, to_hz) in [
+            (1925.926, 2000.0),
+            (26.0 / 0.0135, 2000.0),
+            (1259.259, 2000.0),
+            (2148.148, 2000.0),
+            (2222.222, 2000.0),
+            (1111.111, 2000.0),
+            (2000.0, 1925.926),
+        ] {
+            let error_db = error_db(from_hz, to_hz);
+            println!("{from_hz} Hz to {to_hz} Hz: {error_db:.1} dB");
+            assert!(error_db < -60.0, "{from_hz} Hz to {to_hz} Hz: {error_db:.1} dB");
+        }
+    }
+
+    #[test]
+    fn the_smallest_numbers_that_come_near_are_taken() {
+        for (from_hz, to_hz, up, down) in [
+            (1000.0, 2000.0, 2, 1),
+            (1999.0, 2000.0, 2000, 1999),
+            (1925.926, 2000.0, 27, 26),
+            (26.0 / 0.0135, 2000.0, 27, 26),
+            (1259.259, 2000.0, 27, 17),
+            (2148.148, 2000.0, 27, 29),
+            (2000.0, 1259.259, 17, 27),
+            (2000.0, 666.6666667, 1, 3),
+            (1999.9999, 2000.0, 1, 1),
+            (0.5, 1.0, 2, 1),
+        ] {
+            assert_eq!(ratio(from_hz, to_hz).unwrap(), (up, down), "{from_hz} to {to_hz}");
+            let stream = stream(from_hz.max(1.0), to_hz, 4.0);
+            let is_exact =
+                (from_hz.max(1.0) * stream.up as f64 / (to_hz * stream.down as f64) - 1.0).abs() < 1e-12;
+            assert_eq!(stream.rate_notice().is_none(), is_exact, "{from_hz} to {to_hz}");
+        }
+        for (from_hz, to_hz) in [(0.0, 2000.0), (f64::NAN, 2000.0), (-1.0, 2000.0), (1.0, 1e6), (1e6, 1.5)] {
+            assert!(ratio(from_hz, to_hz).is_err(), "{from_hz} to {to_hz}");
+        }
+        let notice = stream(1925.926, 2000.0, 1.0).rate_notice().unwrap().to_string();
+        assert_eq!(
+            notice,
+            "1925.926 Hz is brought to 2000 Hz by the ratio 27/26, 0.038 ppm off: 0.1 ms in an hour"
+        );
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn a_ratio_is_never_far_off(from_hz in 10.0..20_000.0_f64, to_hz in 10.0..20_000.0_f64) {
+            let (up, down) = ratio(from_hz, to_hz).unwrap();
+            proptest::prop_assert!(up.max(down) <= MAX_RATIO && up.min(down) > 0);
+            let error = up as f64 / down as f64 / (to_hz / from_hz) - 1.0;
+            proptest::prop_assert!(error.abs() < 1e-5, "{up}/{down}: {error}");
+        }
+    }
 }

@@ -22,7 +22,7 @@ pub struct Segment {
 }
 
 /// Something about a recording that does not keep it from being read, but that its user should know.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Notice {
     /// A repetition lacks a file: what is before and after it is not continuous.
     MissingFile {
@@ -43,6 +43,19 @@ pub enum Notice {
         /// Whole lines of samples before it.
         lines: u64,
     },
+    /// No ratio of small numbers leads from the rate of the recording to that of the session.
+    RateApproximated {
+        /// Rate of the recording.
+        from_hz: f64,
+        /// Rate of the session.
+        to_hz: f64,
+        /// So many samples are made …
+        up: u64,
+        /// … of so many.
+        down: u64,
+        /// How far that is from the true ratio.
+        error_ppm: f64,
+    },
 }
 
 impl fmt::Display for Notice {
@@ -58,6 +71,12 @@ impl fmt::Display for Notice {
                 formatter,
                 "{}: the last line is cut short and was left out; {lines} lines of samples before it were read",
                 file.display()
+            ),
+            Notice::RateApproximated { from_hz, to_hz, up, down, error_ppm } => write!(
+                formatter,
+                "{from_hz} Hz is brought to {to_hz} Hz by the ratio {up}/{down}, {:.3} ppm off: {:.1} ms in an hour",
+                error_ppm.abs(),
+                error_ppm.abs() * 3.6
             ),
         }
     }

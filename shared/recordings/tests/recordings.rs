@@ -297,7 +297,7 @@ fn replay_keeps_samples_and_cues_together_at_every_rate() {
 fn replay_refuses_rates_and_blocks_it_cannot_make() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = write_three_dc(temporary.path(), &[(0, 0, 7)]);
-    for rate_hz in [0.0, -1.0, 1999.5, f64::NAN, f64::INFINITY, 1e9 + 1.0] {
+    for rate_hz in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9 + 1.0] {
         let error = ReplayStream::open(&folder, &settings(&[0], None), rate_hz, 5).unwrap_err();
         assert!(matches!(error, RecordingError::Resampling { .. }), "{rate_hz}: {error}");
     }
