@@ -375,6 +375,7 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
                 repetition: Some(trial.cycle.into()),
                 cue: ozdemir::gesture(trial.gesture),
                 end_sample: None,
+                samples_lost_before: 0,
             }],
             default_hz: Some(ozdemir::SAMPLE_RATE_HZ),
         },

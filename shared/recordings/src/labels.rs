@@ -251,7 +251,14 @@ fn columns_of(header: &csv::StringRecord) -> Result<BTreeMap<&'static str, usize
 
 /// The trials of a file, in order, and what lies between them.
 fn segments(file: &Path, labels: &[Label]) -> Vec<Segment> {
-    let between = |end_sample| Segment { file: file.to_owned(), repetition: None, cue: None, end_sample };
+    let part = |repetition, cue, end_sample| Segment {
+        file: file.to_owned(),
+        repetition,
+        cue,
+        end_sample,
+        samples_lost_before: 0,
+    };
+    let between = |end_sample| part(None, None, end_sample);
     let mut segments = Vec::new();
     let mut end_sample = Some(0);
     for label in labels {
@@ -259,8 +266,7 @@ fn segments(file: &Path, labels: &[Label]) -> Vec<Segment> {
             segments.push(between(Some(label.start_sample)));
         }
         end_sample = label.end_sample;
-        let repetition = Some(label.repetition);
-        segments.push(Segment { file: file.to_owned(), repetition, cue: Some(label.gesture), end_sample });
+        segments.push(part(Some(label.repetition), Some(label.gesture), end_sample));
     }
     if end_sample.is_some() {
         segments.push(between(None));

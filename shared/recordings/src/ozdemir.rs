@@ -120,6 +120,7 @@ fn segments(file: &Path, sample_rate_hz: f64) -> Vec<Segment> {
         repetition,
         cue,
         end_sample: end_s.map(|end_s| (end_s * sample_rate_hz).round() as u64),
+        samples_lost_before: 0,
     };
     let mut segments = Vec::new();
     for (cycle, cycle_start_s) in (0..).zip(CYCLE_STARTS_S) {

@@ -19,6 +19,8 @@ pub struct Segment {
     /// Index within the file of the first sample after this segment, at the recording's rate;
     /// `None` if it lasts to the end of the file.
     pub end_sample: Option<u64>,
+    /// Samples that are missing before its first one, at the recording's rate; 0 if it follows on what is before it.
+    pub samples_lost_before: u64,
 }
 
 /// Something about a recording that does not keep it from being read, but that its user should know.

@@ -36,6 +36,8 @@ pub struct Frame {
     pub segment: usize,
     /// The cue of that file.
     pub cue: Option<Gesture>,
+    /// Samples that are missing before it, at the recording's rate.
+    pub samples_lost_before: u64,
 }
 
 /// An open recording. Its files are mapped one after the other as they are reached.
@@ -50,6 +52,8 @@ pub struct RecordingSource {
     segment: usize,
     /// Frames read of the file of that segment.
     position: u64,
+    /// Samples that are missing before the next frame.
+    lost_samples: u64,
 }
 
 /// Where the samples are.
@@ -131,7 +135,7 @@ impl RecordingSource {
         let samples = Samples::Table { table, text };
         let channels = channels.len();
         let notices = notice.into_iter().collect();
-        Ok(RecordingSource { segments, notices, sample_rate_hz, channels, samples, segment: 0, position: 0 })
+        Ok(RecordingSource::of(samples, channels, segments, notices, sample_rate_hz))
     }
 
     /// A recording that has been loaded: its channels, all of the same length, which are one file's that
@@ -143,8 +147,27 @@ impl RecordingSource {
     ) -> RecordingSource {
         let channels = columns.len();
         let samples = Samples::Columns(columns);
-        let notices = Vec::new();
-        RecordingSource { segments, notices, sample_rate_hz, channels, samples, segment: 0, position: 0 }
+        RecordingSource::of(samples, channels, segments, Vec::new(), sample_rate_hz)
+    }
+
+    fn of(
+        samples: Samples,
+        channels: usize,
+        segments: Vec<Segment>,
+        notices: Vec<Notice>,
+        sample_rate_hz: f64,
+    ) -> RecordingSource {
+        let lost_samples = segments[0].samples_lost_before;
+        RecordingSource {
+            segments,
+            notices,
+            sample_rate_hz,
+            channels,
+            samples,
+            segment: 0,
+            position: 0,
+            lost_samples,
+        }
     }
 
     /// Frames read so far of the file that is being read.
@@ -201,8 +224,9 @@ impl RecordingSource {
         Ok(self.next_frames(frame)?.map(|(_, frame)| frame))
     }
 
-    /// Reads as many frames as `frames`, `[frames × channels]`, has room for, but not beyond the end of a file: how
-    /// many, at least one, and what holds for all of them; `None` at the end. Nothing is allocated but for an error.
+    /// Reads as many frames as `frames`, `[frames × channels]`, has room for, but neither beyond the end of a file nor
+    /// over missing samples: how many, at least one, and what holds for all of them (samples may be missing only before
+    /// the first one); `None` at the end. Nothing is allocated but for an error.
     ///
     /// # Errors
     /// When the next line or the next file cannot be read, with its place: once all frames before it have been given.
@@ -222,7 +246,7 @@ impl RecordingSource {
             if let Some(end) = end_sample.filter(|_| !is_last) {
                 wanted = wanted.min(end.saturating_sub(self.position) as usize);
                 if wanted == 0 {
-                    self.segment += 1;
+                    self.begin_next_segment();
                     continue;
                 }
             }
@@ -255,7 +279,8 @@ impl RecordingSource {
             if count > 0 {
                 self.position += count as u64;
                 let cue = self.segments[self.segment].cue;
-                return Ok(Some((count, Frame { segment: self.segment, cue })));
+                let samples_lost_before = std::mem::take(&mut self.lost_samples);
+                return Ok(Some((count, Frame { segment: self.segment, cue, samples_lost_before })));
             }
             if let Some(error) = problem {
                 return Err(RecordingError::table(&self.segments[self.segment].file)(error));
@@ -276,9 +301,14 @@ impl RecordingSource {
             *text = next;
             self.notices.extend(notice);
         }
-        self.segment += 1;
+        self.begin_next_segment();
         self.position = 0;
         Ok(())
+    }
+
+    fn begin_next_segment(&mut self) {
+        self.segment += 1;
+        self.lost_samples += self.segments[self.segment].samples_lost_before;
     }
 }
 
@@ -307,7 +337,7 @@ fn segments(
     }
     let cue = three_dc.and_then(|(_, number)| three_dc::gesture(number));
     let repetition = three_dc.map(|(repetition, _)| repetition);
-    Ok(vec![Segment { file: path.to_owned(), repetition, cue, end_sample: None }])
+    Ok(vec![Segment { file: path.to_owned(), repetition, cue, end_sample: None, samples_lost_before: 0 }])
 }
 
 fn folder_segments(
@@ -345,6 +375,7 @@ fn folder_segments(
             repetition: Some(repetition),
             cue: three_dc::gesture(number),
             end_sample: None,
+            samples_lost_before: 0,
         }));
     }
     Ok(segments)

@@ -105,6 +105,12 @@ impl Resampler {
         self.delay_upsampled as f64 / self.down as f64
     }
 
+    /// Begins anew: what was pushed so far has no effect on what follows.
+    pub fn reset(&mut self) {
+        self.histories.iter_mut().for_each(|history| history.fill([0.0; LANES]));
+        (self.newest, self.next_output) = (0, 0);
+    }
+
     /// The most output samples of a channel that `input_samples` inputs can give.
     pub fn max_output_samples(&self, input_samples: usize) -> usize {
         (input_samples * self.up).div_ceil(self.down)
