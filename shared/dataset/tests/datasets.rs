@@ -690,12 +690,12 @@ fn annotations_say_what_labels_would() {
     let (own, tables, named) =
         (temporary.path().join("own"), temporary.path().join("tables"), temporary.path().join("named"));
     let annotations =
-        [(0.5, 1.5, "rest"), (2.25, 1.25, "Grip"), (4.0, 0.5, "extension"), (4.5, 0.0, "good one")];
+        [(0.5, 1.5, "rest"), (2.25, 1.25, "Grip"), (4.0, 1.0, "extension"), (4.5, 0.0, "good one")];
     write_edf(&own.join("all/sub-anna_ses-1_task-grasp_emg.edf"), 1, 5, &annotations);
     write_edf(&own.join("ben/later.edf"), 2, 5, &annotations);
     write_edf(&own.join("ben/nothing.edf"), 2, 5, &[]);
     let labels = |file: &str, person: &str, session: &str| {
-        ["rest,500,2000", "grip,2250,3500", "extension,4000,4500"]
+        ["rest,500,2000", "grip,2250,3500", "extension,4000,5000"]
             .map(|trial| format!("{file},{person},{session},0,{trial}\n"))
             .concat()
     };
@@ -736,9 +736,10 @@ fn annotations_say_what_labels_would() {
     let unit = |folder: &Path| dataset::list(&settings(), &[folder.to_owned()]).unwrap().unit;
     assert_eq!([unit(&own), unit(&named)], ["uV", "uV"]);
     let other_rate = DatasetSettings { recording_rate_hz: Some(2000.0), ..settings() };
-    let message = build(&other_rate, &BuildSettings::default(), &own, &temporary.path().join("x"))
-        .unwrap_err()
-        .to_string();
+    let message =
+        build(&other_rate, &BuildSettings::default(), &own.join("all"), &temporary.path().join("x"))
+            .unwrap_err()
+            .to_string();
     assert!(message.contains("was sampled at 1000 Hz, but sample_rate_hz = 2000"), "{message}");
 }
 
