@@ -8,7 +8,7 @@ use tendon_emg_simulation::{Performance, Repeat, Script, SimulatedEmg};
 use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Truth;
 use tendon_recordings::ReplayStream;
-use tendon_source::{BlockMaker, Pace, Paced, Source, SourceError};
+use tendon_source::{BlockMaker, MadeBlock, Pace, Paced, Source, SourceError};
 use tendon_transport::Delivery;
 
 use crate::recorded_session::{RecordedSession, is_recorded_session};
@@ -95,10 +95,11 @@ impl SimulatedPerson {
 }
 
 impl BlockMaker for SimulatedPerson {
-    fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError> {
+    fn make(&mut self, samples: &mut [f32]) -> Result<Option<MadeBlock>, SourceError> {
         self.emg.fill_block(&mut self.performance, samples);
         let truth = self.performance.truth();
-        Ok(Some(Truth::new(self.gestures.number(truth.gesture), truth.since_sample)))
+        let truth = Truth::new(self.gestures.number(truth.gesture), truth.since_sample);
+        Ok(Some(MadeBlock { lost_samples: 0, truth }))
     }
 
     fn set_gesture(&mut self, gesture: Gesture, effort: f32) {
@@ -109,6 +110,8 @@ impl BlockMaker for SimulatedPerson {
 /// A recording; its cues say which gesture is made.
 struct Recording {
     stream: ReplayStream,
+    /// Index of the sample that comes next if none is missing.
+    next_sample: u64,
     /// Of the session.
     gestures: GestureSet,
 }
@@ -125,6 +128,9 @@ impl Recording {
             let rest = summary.notices.len() - NOTICES_SHOWN;
             tracing::warn!("and {rest} more such notices about {}", path.display());
         }
+        if let Some(notice) = stream.rate_notice() {
+            tracing::info!("{notice}");
+        }
         let columns = summary.channels.join(", ");
         if settings.replay.channels.is_none() && !tendon_recordings::three_dc::is_three_dc(path) {
             tracing::warn!(
@@ -139,15 +145,17 @@ impl Recording {
             summary.duration_s,
             summary.sample_rate_hz
         );
-        Ok((Recording { stream, gestures: config.decision.gestures.clone() }, description))
+        let gestures = config.decision.gestures.clone();
+        Ok((Recording { stream, next_sample: 0, gestures }, description))
     }
 }
 
 impl BlockMaker for Recording {
-    fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError> {
-        let block = self.stream.next_block(samples).map_err(SourceError::new)?;
-        Ok(block.map(|block| {
-            Truth::new(block.cue.and_then(|gesture| self.gestures.number(gesture)), block.cue_since)
-        }))
+    fn make(&mut self, samples: &mut [f32]) -> Result<Option<MadeBlock>, SourceError> {
+        let Some(block) = self.stream.next_block(samples).map_err(SourceError::new)? else { return Ok(None) };
+        let lost_samples = block.first_sample - self.next_sample;
+        self.next_sample = block.first_sample + (samples.len() / self.stream.source().channels()) as u64;
+        let number = block.cue.and_then(|gesture| self.gestures.number(gesture));
+        Ok(Some(MadeBlock { lost_samples, truth: Truth::new(number, block.cue_since) }))
     }
 }

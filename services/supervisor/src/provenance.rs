@@ -62,7 +62,8 @@ pub fn models(config: &Config) -> anyhow::Result<(Vec<PathBuf>, Vec<TrainedOn>)>
 
 /// The data set that a recording is of, and the number of its person there, where the layout tells it.
 fn person(recording: &Path) -> Option<(&'static str, u16)> {
-    let of_three_dc = three_dc::origin(recording).or_else(|| three_dc::origin(recording.parent()?));
+    let of_three_dc = three_dc::origin_through_links(recording)
+        .or_else(|| three_dc::origin_through_links(recording.parent()?));
     let of_three_dc = of_three_dc.map(|(person, _)| (three_dc::DATA_SET, person));
     of_three_dc.or_else(|| ozdemir::trial_of_name(recording).map(|trial| (ozdemir::DATA_SET, trial.person)))
 }

@@ -10,7 +10,11 @@ use std::path::{Path, PathBuf};
 
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
-use tendon_recordings::{RecordedSession, RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
+use tendon_recordings::{
+    Channel, RecordedSession, RecordingError, Segment, Signals, SkippedEntry, SkippedKind, is_signals,
+    ozdemir, three_dc,
+};
+use tendon_signal::canonical_unit;
 
 use crate::recording::{Content, Recording};
 use crate::settings::DatasetSettings;
@@ -26,7 +30,7 @@ pub enum Layout {
     OzdemirMat,
     /// Ozdemir 2022, a file a trial: `P<person>_C<cycle>_G<gesture>.csv`.
     OzdemirTrials,
-    /// Text tables and a `labels.csv`.
+    /// Your own: text tables and a `labels.csv`, or files with cues inside.
     Labelled,
 }
 
@@ -37,6 +41,15 @@ impl Layout {
         match self {
             Layout::ThreeDc => Some(three_dc::DATA_SET),
             Layout::OzdemirMat | Layout::OzdemirTrials => Some(ozdemir::DATA_SET),
+            Layout::Labelled => None,
+        }
+    }
+
+    /// Unit of the samples of that data set; `None` for your own recordings.
+    fn unit(self) -> Option<&'static str> {
+        match self {
+            Layout::ThreeDc => Some("adc_counts"),
+            Layout::OzdemirMat | Layout::OzdemirTrials => Some("mV"),
             Layout::Labelled => None,
         }
     }
@@ -56,7 +69,7 @@ impl fmt::Display for Layout {
             Layout::ThreeDc => "3DC",
             Layout::OzdemirMat => "Ozdemir 2022 (.mat)",
             Layout::OzdemirTrials => "Ozdemir 2022 (a .csv a trial)",
-            Layout::Labelled => "tables with labels.csv",
+            Layout::Labelled => "recordings with labels",
         })
     }
 }
@@ -70,18 +83,22 @@ pub struct Recordings {
     pub recordings: Vec<Recording>,
     /// What looks like a recording, but cannot be used, and why.
     pub skipped: Vec<SkippedEntry>,
+    /// Unit of the samples in its canonical spelling; empty if the recordings do not tell it.
+    pub unit: String,
 }
 
 /// Lists the recordings at or below `paths`. The layout follows from what is found there:
 ///
 /// | found | recordings |
 /// |---|---|
-/// | a folder `ParticipantP/{train,test}/EMG` | 3DC: its files `3dc_EMG_gesture_R_G.txt`, each repetition R joined |
+/// | a folder `ParticipantP/{train,test}/EMG` | 3DC: its files `3dc_EMG_gesture_R_G.txt`, each repetition R joined; the `IMU` folder beside it is passed over |
 /// | files `.mat` | Ozdemir 2022: one a person |
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
-/// | a folder with `labels.csv` | the tables that it names |
+/// | a folder with `labels.csv` | the tables and other files that it names |
+/// | files `.edf`, `.bdf`, `.xdf` | each by itself, with its annotations or markers that name gestures |
 ///
-/// Files that look like recordings but match none of these are listed as skipped.
+/// Files that look like recordings but match none of these are listed as skipped. Links to folders are followed; of each path, a
+/// folder is looked at once, however many links lead to it.
 ///
 /// # Errors
 /// When there is no recording below one of the paths or none that can be used, the layouts differ, the same recording is
@@ -91,6 +108,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
     let mut found = Found::default();
     for path in paths {
         let skipped_before = found.skipped.len();
+        found.entered.clear();
         if found.gather(path, true)? == 0 {
             let hint = found.skipped.get(skipped_before);
             let hint = hint.map(|skipped| format!(" ({}: {})", skipped.path.display(), skipped.reason));
@@ -107,6 +125,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
         return Err(ListingError::NotUtf8 { path: path.clone() });
     }
     let mut skipped = found.skipped;
+    let mut unit = layout.unit().unwrap_or_default().to_owned();
     let candidates: Vec<PathBuf> = found.candidates.into_iter().map(|(_, path)| path).collect();
     let recordings = match layout {
         Layout::ThreeDc => three_dc_recordings(&candidates, &mut skipped)?,
@@ -118,13 +137,13 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
             check_filtered(settings, &candidates)?;
             trial_recordings(&candidates)?
         }
-        Layout::Labelled => labelled_recordings(settings, &candidates, &mut skipped)?,
+        Layout::Labelled => labelled_recordings(settings, &candidates, &mut skipped, &mut unit)?,
     };
     if recordings.is_empty() {
         let first_reason = skipped.first().map_or("they hold no trials".to_owned(), ToString::to_string);
         return Err(ListingError::NoneUsable { first_reason });
     }
-    Ok(Recordings { layout, recordings, skipped })
+    Ok(Recordings { layout, recordings, skipped, unit })
 }
 
 /// Folders and files by their names.
@@ -133,6 +152,8 @@ struct Found {
     candidates: Vec<(Layout, PathBuf)>,
     /// The candidates as the system names them.
     seen: BTreeSet<PathBuf>,
+    /// The folders below the present path that were looked into, as the system names them.
+    entered: BTreeSet<PathBuf>,
     skipped: Vec<SkippedEntry>,
 }
 
@@ -140,18 +161,26 @@ impl Found {
     /// Looks at `path` and below; the result is how many candidates are there.
     fn gather(&mut self, path: &Path, is_given: bool) -> Result<usize, ListingError> {
         if path.is_dir() {
-            if three_dc::origin(path).is_some() {
+            // Links lead to the same folder twice, or back up.
+            if !self.entered.insert(real(path)) {
+                return Ok(0);
+            }
+            if three_dc::origin_through_links(path).is_some() {
+                if !three_dc::holds_emg(path)? {
+                    self.skip(path, SkippedKind::OtherFile, "it holds no EMG");
+                    return Ok(0);
+                }
                 return Ok(self.add(Layout::ThreeDc, path));
             }
             if path.join(labels::FILE_NAME).is_file() {
                 return Ok(self.add(Layout::Labelled, path));
             }
             let mut count = 0;
-            for entry in entries(path)? {
-                // A link may lead back up.
-                if !(entry.is_dir() && entry.is_symlink()) {
-                    count += self.gather(&entry, false)?;
-                }
+            let (links, others): (Vec<_>, Vec<_>) =
+                entries(path)?.into_iter().partition(|entry| entry.is_symlink());
+            // A folder is known by its own name rather than by that of a link.
+            for entry in others.iter().chain(&links) {
+                count += self.gather(entry, false)?;
             }
             return Ok(count);
         }
@@ -160,6 +189,9 @@ impl Found {
         }
         if ozdemir::trial_of_name(path).is_some() {
             return Ok(self.add(Layout::OzdemirTrials, path));
+        }
+        if is_signals(path) {
+            return Ok(self.add(Layout::Labelled, path));
         }
         if path.file_name().is_some_and(|name| name == labels::FILE_NAME) {
             return Ok(self.add(Layout::Labelled, path.parent().unwrap_or(Path::new("."))));
@@ -172,25 +204,28 @@ impl Found {
         let is_text =
             !is_given && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
         if is_three_dc {
-            self.skip(path, "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG");
+            self.skip(
+                path,
+                SkippedKind::OtherFile,
+                "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG",
+            );
         } else if is_table(path) && !is_text {
-            self.skip(path, &unlabelled(path));
+            self.skip(path, SkippedKind::NoLabel, &unlabelled(path));
         }
         Ok(0)
     }
 
     fn add(&mut self, layout: Layout, path: &Path) -> usize {
-        let real = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        if self.seen.insert(real) {
+        if self.seen.insert(real(path)) {
             self.candidates.push((layout, path.to_owned()));
         } else {
-            self.skip(path, "it was given twice and is used once");
+            self.skip(path, SkippedKind::Twice, "it was given twice and is used once");
         }
         1
     }
 
-    fn skip(&mut self, path: &Path, reason: &str) {
-        self.skipped.push(SkippedEntry { path: path.to_owned(), reason: reason.to_owned() });
+    fn skip(&mut self, path: &Path, kind: SkippedKind, reason: &str) {
+        self.skipped.push(SkippedEntry { path: path.to_owned(), kind, reason: reason.to_owned() });
     }
 }
 
@@ -211,6 +246,11 @@ fn unreadable(path: &Path) -> impl FnOnce(io::Error) -> ListingError + '_ {
     |reason| RecordingError::Open { path: path.to_owned(), reason }.into()
 }
 
+/// A file or folder as the system names it, without links.
+fn real(path: &Path) -> PathBuf {
+    fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
+}
+
 /// What a folder holds, in order.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ListingError> {
     let mut entries = Vec::new();
@@ -228,7 +268,7 @@ fn three_dc_recordings(
 ) -> Result<Vec<Recording>, ListingError> {
     let mut by_origin = BTreeMap::new();
     for folder in folders {
-        let Some(origin) = three_dc::origin(folder) else { continue };
+        let Some(origin) = three_dc::origin_through_links(folder) else { continue };
         if let Some(first) = by_origin.insert(origin, folder) {
             let (person, session) = origin;
             let what = format!("the {} session of person {person}", session.name());
@@ -241,11 +281,12 @@ fn three_dc_recordings(
         let names = "3dc_EMG_gesture_R_G.txt with R from 0 and G from 0 to 10";
         if repetitions.is_empty() {
             let reason = format!("it holds no files {names}");
-            skipped.push(SkippedEntry { path: folder.clone(), reason });
+            skipped.push(SkippedEntry { path: folder.clone(), kind: SkippedKind::NoTrial, reason });
         }
         for path in entries(folder)? {
             if is_table(&path) && three_dc::parse_file_name(&path).is_none() {
-                skipped.push(SkippedEntry { path, reason: format!("its name is not {names}") });
+                let reason = format!("its name is not {names}");
+                skipped.push(SkippedEntry { path, kind: SkippedKind::OtherFile, reason });
             }
         }
         recordings.extend(repetitions.into_iter().map(|repetition| Recording {
@@ -290,7 +331,7 @@ fn mat_recordings(
             Ok(None) => "neither its variable iD nor a number in its name identifies the person".to_owned(),
             Err(error) => error.below(file),
         };
-        skipped.push(SkippedEntry { path: file.clone(), reason });
+        skipped.push(SkippedEntry { path: file.clone(), kind: SkippedKind::Unreadable, reason });
     }
     let recording = |(person, file): (u16, &PathBuf)| Recording {
         path: file.clone(),
@@ -323,6 +364,7 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
                 repetition: Some(trial.cycle.into()),
                 cue: ozdemir::gesture(trial.gesture),
                 end_sample: None,
+                samples_lost_before: 0,
             }],
             default_hz: Some(ozdemir::SAMPLE_RATE_HZ),
         },
@@ -337,21 +379,31 @@ fn labelled_recordings(
     settings: &DatasetSettings,
     folders: &[PathBuf],
     skipped: &mut Vec<SkippedEntry>,
+    unit: &mut String,
 ) -> Result<Vec<Recording>, ListingError> {
     let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
+        if is_signals(folder) && folder.is_file() {
+            files.extend(own_cues(folder, unit, skipped)?.map(|file| (file, None)));
+            continue;
+        }
         let recorded = RecordedSession::read(folder)?;
         let default_hz = recorded.as_ref().map(|session| session.sample_rate_hz);
-        if settings.recording_rate_hz.or(default_hz).is_none() {
-            return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
+        if let Some(recorded) = recorded.as_ref().filter(|_| unit.is_empty()) {
+            *unit = canonical_unit(&recorded.unit).to_owned();
         }
         for mut file in labels::read(folder, skipped)? {
+            if settings.recording_rate_hz.or(default_hz).is_none() && !is_signals(&file.path) {
+                return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
+            }
+            if unit.is_empty() && is_signals(&file.path) {
+                *unit = canonical_unit(&Signals::read(&file.path, &[Channel::Index(0)])?.unit).to_owned();
+            }
             if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {
                 file.person = session.person;
             }
-            let real = fs::canonicalize(&file.path).unwrap_or_else(|_| file.path.clone());
-            if let Some(first) = folder_of_file.insert(real, folder) {
+            if let Some(first) = folder_of_file.insert(real(&file.path), folder) {
                 let what = file.path.display().to_string();
                 return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
             }
@@ -374,13 +426,62 @@ fn labelled_recordings(
             return Err(ListingError::TooManyRepetitions { person });
         }
         let place = names.iter().position(|name| *name == session).unwrap_or(0) as u32;
+        let content = match is_signals(&path) {
+            // Those of the folder's labels; its own cues are found again when it is opened.
+            true => {
+                Content::Signals { segments: folder_of_file.contains_key(&real(&path)).then_some(segments) }
+            }
+            false => Content::Table { segments, default_hz },
+        };
         recordings.push(Recording {
             path,
             person,
             session,
             repetitions_before: place * repetitions,
-            content: Content::Table { segments, default_hz },
+            content,
         });
     }
     Ok(recordings)
+}
+
+/// A file whose annotations or markers say what was done when; `None` if it cannot be used. Its unit becomes `unit` if that is
+/// empty.
+fn own_cues(
+    file: &Path,
+    unit: &mut String,
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<Option<LabelledFile>, ListingError> {
+    let mut skip = |kind, reason: String| {
+        skipped.push(SkippedEntry { path: file.to_owned(), kind, reason });
+        Ok(None)
+    };
+    let signals = match Signals::read(file, &[Channel::Index(0)]) {
+        Ok(signals) => signals,
+        Err(error) => return skip(SkippedKind::Unreadable, error.below(file)),
+    };
+    if signals.cues.is_empty() {
+        return skip(
+            SkippedKind::NoLabel,
+            "no annotation or marker in it names a gesture: write a labels.csv beside it that says what it shows".to_owned(),
+        );
+    }
+    let Some((person, session)) = labels::origin_of_name(file) else {
+        return skip(
+            SkippedKind::Person,
+            "neither its name nor its folder's says whose it is: call it sub-PERSON_….edf, or put it into a folder with the \
+             person's name"
+                .to_owned(),
+        );
+    };
+    let own_unit = canonical_unit(&signals.unit);
+    if unit.is_empty() {
+        *unit = own_unit.to_owned();
+    } else if *unit != own_unit {
+        return skip(
+            SkippedKind::Other,
+            format!("its samples are in {own_unit}, those of others in {unit}: give them separately"),
+        );
+    }
+    let segments = signals.segments(file);
+    Ok(Some(LabelledFile { path: file.to_owned(), person, session, segments }))
 }

@@ -6,6 +6,8 @@
 //! type, bytes | zlib stream     … or a compressed one (type 15), in which the same is found
 //!   matrix: flags, dimensions, name, then the values column by column, in the smallest type that holds them
 //! ```
+//! Variables of MATLAB's own classes (text, cells, structures, objects such as `string` and `datetime`) are known by name only.
+//!
 //! A matrix is read column by column as it is decompressed: of one of 1280000 × 4 only the columns asked for come
 //! into memory, as `f32`.
 
@@ -31,13 +33,16 @@ pub struct MatFile<R> {
 #[derive(Clone, Debug)]
 struct Variable {
     name: String,
-    /// Whether it is a full matrix of real numbers.
-    is_numeric: bool,
+    /// What it is, if no full matrix of real numbers.
+    other: Option<String>,
     rows: usize,
     columns: usize,
     /// Where its element begins in the file: the tag.
     position: u64,
 }
+
+/// Class of objects whose contents only MATLAB understands.
+const OPAQUE: u8 = 17;
 
 /// MATLAB allows names of 63 bytes; what is longer is damage.
 const MAX_NAME_BYTES: u32 = 1 << 12;
@@ -97,7 +102,8 @@ impl<R: Read + Seek> MatFile<R> {
 
     fn variable(&self, name: &'static str) -> Result<Variable, MatError> {
         self.variables.iter().find(|variable| variable.name == name).cloned().ok_or_else(|| {
-            let available = self.variables.iter().map(|variable| variable.name.clone()).collect();
+            let names = self.variables.iter().map(|variable| variable.name.clone());
+            let available = names.filter(|name| !name.is_empty()).collect();
             MatError::NoVariable { name, available }
         })
     }
@@ -108,7 +114,7 @@ impl<R: Read + Seek> MatFile<R> {
     /// When the file is damaged there.
     pub fn number(&mut self, name: &'static str) -> Result<Option<f64>, MatError> {
         let Ok(variable) = self.variable(name) else { return Ok(None) };
-        if !variable.is_numeric || (variable.rows, variable.columns) != (1, 1) {
+        if variable.other.is_some() || (variable.rows, variable.columns) != (1, 1) {
             return Ok(None);
         }
         let mut matrix = self.matrix(variable.position)?;
@@ -122,10 +128,9 @@ impl<R: Read + Seek> MatFile<R> {
     /// # Errors
     /// When there is no such variable, or it is not a matrix of real numbers.
     pub fn shape(&self, name: &'static str) -> Result<(usize, usize), MatError> {
-        let Variable { is_numeric, rows, columns, .. } = self.variable(name)?;
-        if !is_numeric {
-            let expected = "a matrix of real numbers";
-            return Err(MatError::Shape { name, found: "something else".to_owned(), expected });
+        let Variable { other, rows, columns, .. } = self.variable(name)?;
+        if let Some(found) = other {
+            return Err(MatError::Shape { name, found, expected: "a matrix of real numbers" });
         }
         Ok((rows, columns))
     }
@@ -186,9 +191,9 @@ impl Variable {
             return Ok(None);
         }
         let [class, flags, ..] = read::<8>(matrix)?;
-        const COMPLEX: u8 = 0x08;
-        // Classes 6 to 15: double, single and the integers.
-        let is_real = (6..=15).contains(&class) && flags & COMPLEX == 0;
+        if class == OPAQUE {
+            return Variable::read_opaque(matrix, position).map(Some);
+        }
         let dimensions = Tag::read(matrix)?;
         if dimensions.kind != INT32 || dimensions.bytes < 8 || dimensions.bytes > MAX_NAME_BYTES {
             return Err(MatError::Damaged("a variable has no dimensions"));
@@ -199,13 +204,41 @@ impl Variable {
             .map(|length| u32::from_le_bytes([length[0], length[1], length[2], length[3]]) as usize);
         let (rows, columns) = (lengths.next().unwrap_or(0), lengths.next().unwrap_or(0));
         let is_flat = lengths.next().is_none();
-        let name = Tag::read(matrix)?;
-        if name.kind != INT8 || name.bytes > MAX_NAME_BYTES {
-            return Err(MatError::Damaged("a variable has no name"));
-        }
-        let name = String::from_utf8_lossy(&name.read_data(matrix)?).into_owned();
-        Ok(Some(Variable { name, is_numeric: is_real && is_flat, rows, columns, position }))
+        let name = read_name(matrix)?;
+        const COMPLEX: u8 = 0x08;
+        let other = match class {
+            1 => Some("a cell array"),
+            2 => Some("a structure"),
+            3 => Some("an object"),
+            4 => Some("text"),
+            5 => Some("a sparse matrix"),
+            // Double, single and the integers.
+            6..=15 if flags & COMPLEX != 0 => Some("a matrix of complex numbers"),
+            6..=15 if !is_flat => Some("an array of more than two dimensions"),
+            6..=15 => None,
+            16 => Some("a function handle"),
+            _ => Some("of a class that is not known"),
+        };
+        Ok(Some(Variable { name, other: other.map(str::to_owned), rows, columns, position }))
     }
+
+    /// Reads the head of an object of a MATLAB class, such as `string` and `datetime`. After the flags, it has three names
+    /// instead of dimensions and a name: its own, the system (`MCOS`, `java`) and the class.
+    fn read_opaque(matrix: &mut dyn Read, position: u64) -> Result<Variable, MatError> {
+        let name = read_name(matrix)?;
+        read_name(matrix)?;
+        let class = read_name(matrix)?;
+        let other = Some(format!("of the MATLAB class {class}"));
+        Ok(Variable { name, other, rows: 0, columns: 0, position })
+    }
+}
+
+fn read_name(matrix: &mut dyn Read) -> Result<String, MatError> {
+    let name = Tag::read(matrix)?;
+    if name.kind != INT8 || name.bytes > MAX_NAME_BYTES {
+        return Err(MatError::Damaged("a variable has no name"));
+    }
+    Ok(String::from_utf8_lossy(&name.read_data(matrix)?).into_owned())
 }
 
 #[cfg(test)]
@@ -214,6 +247,7 @@ mod tests {
 
     use proptest::prelude::*;
 
+    use super::element::{DOUBLE, UINT8};
     use super::*;
 
     /// Made by `tests/golden/make_mat.py`: `data` 6 × 4, value = 10 row + column + 0.25, `fs` 2000, `iD` 7,
@@ -252,6 +286,61 @@ mod tests {
         assert!(message(mat.columns("gap", &[0])).contains("sample 1 of channel 0 is not finite"));
         assert!(mat.columns("gap", &[1]).is_ok());
         assert!(message(mat.columns("units", &[0])).contains("not a matrix of real numbers"));
+    }
+
+    /// An element: its type, its length, its data filled up to eight bytes.
+    fn element(kind: u32, data: &[u8]) -> Vec<u8> {
+        let mut bytes = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
+        bytes.extend(data);
+        bytes.resize(bytes.len().next_multiple_of(8), 0);
+        bytes
+    }
+
+    /// A variable of MATLAB's class number `class`.
+    fn variable(class: u8, parts: &[(u32, &[u8])]) -> Vec<u8> {
+        let flags = element(UINT32, &[class, 0, 0, 0, 0, 0, 0, 0]);
+        let parts: Vec<Vec<u8>> = parts.iter().map(|(kind, data)| element(*kind, data)).collect();
+        element(MATRIX, &[flags, parts.concat()].concat())
+    }
+
+    #[test]
+    fn variables_of_matlabs_own_classes_are_passed_over_and_named_when_asked_for() {
+        let size = [2_i32, 1].map(i32::to_le_bytes);
+        let size = size.as_flattened();
+        let object = variable(13, &[(INT32, size), (INT8, b""), (UINT32, &[0; 8])]);
+        let opaque = |name: &[u8], class: &[u8]| {
+            variable(17, &[(INT8, name), (INT8, b"MCOS"), (INT8, class), (MATRIX, &object[8..])])
+        };
+        let of_class = |class: u8, name: &[u8]| variable(class, &[(INT32, size), (INT8, name)]);
+        let numbers = [1.5_f64, 2.5].map(f64::to_le_bytes);
+        let mut bytes = PLAIN_FILE[..128].to_vec();
+        bytes.extend(opaque(b"data", b"string"));
+        bytes.extend(opaque(b"when", b"datetime"));
+        bytes.extend(of_class(1, b"cells"));
+        bytes.extend(of_class(2, b"head"));
+        bytes.extend(of_class(3, b"thing"));
+        bytes.extend(of_class(16, b"f"));
+        bytes.extend(variable(6, &[(INT32, size), (INT8, b"emg"), (DOUBLE, numbers.as_flattened())]));
+        // What objects refer to lies in a variable without a name.
+        bytes.extend(variable(9, &[(INT32, size), (INT8, b""), (UINT8, &[0, 1])]));
+        let mut mat = open(&bytes).unwrap();
+        assert_eq!(mat.columns("emg", &[0]).unwrap(), [[1.5, 2.5]]);
+        let mut message = |name: &'static str| mat.columns(name, &[0]).unwrap_err().to_string();
+        let data = "variable `data` is of the MATLAB class string, not a matrix of real numbers";
+        assert_eq!(message("data"), data);
+        for (name, found) in [
+            ("when", "of the MATLAB class datetime"),
+            ("cells", "a cell array"),
+            ("head", "a structure"),
+            ("thing", "an object"),
+            ("f", "a function handle"),
+        ] {
+            assert!(message(name).starts_with(&format!("variable `{name}` is {found}, not")), "{name}");
+        }
+        assert!(message("signal").ends_with("(it has: data, when, cells, head, thing, f, emg)"));
+        for length in 128..bytes.len() {
+            let _ = open(&bytes[..length]);
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@ use crate::error::RecordingError;
 use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
+use crate::signals::{Signals, is_signals};
 use crate::table::{Channel, Table};
 use crate::three_dc;
 
@@ -36,6 +37,8 @@ pub struct Frame {
     pub segment: usize,
     /// The cue of that file.
     pub cue: Option<Gesture>,
+    /// Samples that are missing before it, at the recording's rate.
+    pub samples_lost_before: u64,
 }
 
 /// An open recording. Its files are mapped one after the other as they are reached.
@@ -50,6 +53,8 @@ pub struct RecordingSource {
     segment: usize,
     /// Frames read of the file of that segment.
     position: u64,
+    /// Samples that are missing before the next frame.
+    lost_samples: u64,
 }
 
 /// Where the samples are.
@@ -58,7 +63,20 @@ enum Samples {
     /// In a text file, the one of the current segment.
     Table { table: Table, text: Text },
     /// In memory: the chosen channels, all of the same length.
-    Columns(Vec<Vec<f32>>),
+    Columns(Columns),
+}
+
+/// Channels that have been loaded.
+#[derive(Debug)]
+pub(crate) struct Columns {
+    /// The chosen ones.
+    pub(crate) samples: Vec<Vec<f32>>,
+    /// Their numbers in the file.
+    pub(crate) chosen: Vec<usize>,
+    /// All channels of the file by name, or by number from 0.
+    pub(crate) names: Vec<String>,
+    /// Unit of the samples; empty if it is not known.
+    pub(crate) unit: String,
 }
 
 /// The text of a table that is read: of a recording that Tendon made, whole lines only.
@@ -98,12 +116,19 @@ impl RecordingSource {
     /// |---|---|
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
+    /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
     /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at `settings.sample_rate_hz`, or at the rate that a `session.toml` of Tendon beside it states |
     ///
     /// # Errors
     /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
     /// wrong further on shows when it is read: [`check()`](crate::check()) reads all of it.
     pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
+        if is_signals(path) && !path.is_dir() {
+            if settings.repetition.is_some() {
+                return Err(RecordingError::RepetitionOfFile { file: path.to_owned() });
+            }
+            return RecordingSource::of_signals(path, None, &settings.channels, settings.sample_rate_hz);
+        }
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
         let known_hz = match segments[0].repetition {
@@ -131,20 +156,69 @@ impl RecordingSource {
         let samples = Samples::Table { table, text };
         let channels = channels.len();
         let notices = notice.into_iter().collect();
-        Ok(RecordingSource { segments, notices, sample_rate_hz, channels, samples, segment: 0, position: 0 })
+        Ok(RecordingSource::of(samples, channels, segments, notices, sample_rate_hz))
+    }
+
+    /// Opens the file at `path`, which describes itself (see [`is_signals`]), divided by its own cues, or as `segments` of it say.
+    /// `given_hz` is the rate the user says, if any: it serves as a check.
+    ///
+    /// # Errors
+    /// When the file cannot be read, lacks a channel, or has another rate than `given_hz`.
+    pub fn of_signals(
+        path: &Path,
+        segments: Option<Vec<Segment>>,
+        channels: &[Channel],
+        given_hz: Option<f64>,
+    ) -> Result<RecordingSource, RecordingError> {
+        /// So much the rates of one amplifier's sheet and of its files may differ.
+        const TOLERANCE: f64 = 0.01;
+        let signals = Signals::read(path, channels)?;
+        let actual_hz = signals.sample_rate_hz;
+        let fits = |given_hz: &f64| (1.0 - TOLERANCE..=1.0 + TOLERANCE).contains(&(given_hz / actual_hz));
+        if let Some(given_hz) = given_hz.filter(|given_hz| !fits(given_hz)) {
+            return Err(RecordingError::SampleRateDiffers { path: path.to_owned(), actual_hz, given_hz });
+        }
+        let segments = match segments {
+            Some(segments) => signals.divide(segments),
+            None => signals.segments(path),
+        };
+        let Signals { columns: samples, chosen, names, unit, notices, .. } = signals;
+        let columns = Columns { samples, chosen, names, unit };
+        let mut source = RecordingSource::of_columns(columns, segments, actual_hz);
+        source.notices = notices;
+        Ok(source)
     }
 
     /// A recording that has been loaded: its channels, all of the same length, which are one file's that
     /// `segments`, at least one, divide.
     pub(crate) fn of_columns(
-        columns: Vec<Vec<f32>>,
+        columns: Columns,
         segments: Vec<Segment>,
         sample_rate_hz: f64,
     ) -> RecordingSource {
-        let channels = columns.len();
+        let channels = columns.samples.len();
         let samples = Samples::Columns(columns);
-        let notices = Vec::new();
-        RecordingSource { segments, notices, sample_rate_hz, channels, samples, segment: 0, position: 0 }
+        RecordingSource::of(samples, channels, segments, Vec::new(), sample_rate_hz)
+    }
+
+    fn of(
+        samples: Samples,
+        channels: usize,
+        segments: Vec<Segment>,
+        notices: Vec<Notice>,
+        sample_rate_hz: f64,
+    ) -> RecordingSource {
+        let lost_samples = segments[0].samples_lost_before;
+        RecordingSource {
+            segments,
+            notices,
+            sample_rate_hz,
+            channels,
+            samples,
+            segment: 0,
+            position: 0,
+            lost_samples,
+        }
     }
 
     /// Frames read so far of the file that is being read.
@@ -171,7 +245,26 @@ impl RecordingSource {
     pub fn file_channels(&self) -> usize {
         match &self.samples {
             Samples::Table { table, .. } => table.columns(),
-            Samples::Columns(columns) => columns.len(),
+            Samples::Columns(columns) => columns.names.len(),
+        }
+    }
+
+    /// All columns of the current file, chosen or not: by name where it gives one, else by number from 0.
+    pub fn file_names(&self) -> Vec<String> {
+        match &self.samples {
+            Samples::Table { table, .. } if table.names().is_empty() => {
+                (0..table.columns()).map(|column| column.to_string()).collect()
+            }
+            Samples::Table { table, .. } => table.names().to_vec(),
+            Samples::Columns(columns) => columns.names.clone(),
+        }
+    }
+
+    /// Unit of the samples in the file's words; empty if the file does not say.
+    pub fn unit(&self) -> &str {
+        match &self.samples {
+            Samples::Table { .. } => "",
+            Samples::Columns(columns) => &columns.unit,
         }
     }
 
@@ -179,7 +272,9 @@ impl RecordingSource {
     pub fn chosen(&self) -> Vec<String> {
         match &self.samples {
             Samples::Table { table, .. } => table.chosen(),
-            Samples::Columns(columns) => (0..columns.len()).map(|column| column.to_string()).collect(),
+            Samples::Columns(Columns { chosen, names, .. }) => {
+                chosen.iter().map(|number| names[*number].clone()).collect()
+            }
         }
     }
 
@@ -201,8 +296,9 @@ impl RecordingSource {
         Ok(self.next_frames(frame)?.map(|(_, frame)| frame))
     }
 
-    /// Reads as many frames as `frames`, `[frames × channels]`, has room for, but not beyond the end of a file: how
-    /// many, at least one, and what holds for all of them; `None` at the end. Nothing is allocated but for an error.
+    /// Reads as many frames as `frames`, `[frames × channels]`, has room for, but neither beyond the end of a file nor
+    /// over missing samples: how many, at least one, and what holds for all of them (samples may be missing only before
+    /// the first one); `None` at the end. Nothing is allocated but for an error.
     ///
     /// # Errors
     /// When the next line or the next file cannot be read, with its place: once all frames before it have been given.
@@ -222,7 +318,7 @@ impl RecordingSource {
             if let Some(end) = end_sample.filter(|_| !is_last) {
                 wanted = wanted.min(end.saturating_sub(self.position) as usize);
                 if wanted == 0 {
-                    self.segment += 1;
+                    self.begin_next_segment();
                     continue;
                 }
             }
@@ -243,7 +339,7 @@ impl RecordingSource {
                     }
                     text.file.release_before(table.position());
                 }
-                Samples::Columns(columns) => {
+                Samples::Columns(Columns { samples: columns, .. }) => {
                     let position = self.position as usize;
                     let left = columns.first().map_or(0, |column| column.len() - position);
                     for (frame, index) in wanted.zip(position..position + left) {
@@ -255,7 +351,8 @@ impl RecordingSource {
             if count > 0 {
                 self.position += count as u64;
                 let cue = self.segments[self.segment].cue;
-                return Ok(Some((count, Frame { segment: self.segment, cue })));
+                let samples_lost_before = std::mem::take(&mut self.lost_samples);
+                return Ok(Some((count, Frame { segment: self.segment, cue, samples_lost_before })));
             }
             if let Some(error) = problem {
                 return Err(RecordingError::table(&self.segments[self.segment].file)(error));
@@ -276,9 +373,14 @@ impl RecordingSource {
             *text = next;
             self.notices.extend(notice);
         }
-        self.segment += 1;
+        self.begin_next_segment();
         self.position = 0;
         Ok(())
+    }
+
+    fn begin_next_segment(&mut self) {
+        self.segment += 1;
+        self.lost_samples += self.segments[self.segment].samples_lost_before;
     }
 }
 
@@ -307,7 +409,7 @@ fn segments(
     }
     let cue = three_dc.and_then(|(_, number)| three_dc::gesture(number));
     let repetition = three_dc.map(|(repetition, _)| repetition);
-    Ok(vec![Segment { file: path.to_owned(), repetition, cue, end_sample: None }])
+    Ok(vec![Segment { file: path.to_owned(), repetition, cue, end_sample: None, samples_lost_before: 0 }])
 }
 
 fn folder_segments(
@@ -345,6 +447,7 @@ fn folder_segments(
             repetition: Some(repetition),
             cue: three_dc::gesture(number),
             end_sample: None,
+            samples_lost_before: 0,
         }));
     }
     Ok(segments)

@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! ParticipantP/{train,test}/EMG/3dc_EMG_gesture_R_G.txt     R: repetition 0…3, G: gesture 0…10
+//!                          /IMU/3dc_IMU_gesture_R_G.txt     the armband's movements: not read
 //! ```
 //! 1000 Hz, ten channels, ADC counts. The files of a repetition, in the order of G, are one continuous
 //! recording of 55 s; the cue for each gesture was given at its file's start.
@@ -64,6 +65,20 @@ pub fn origin(folder: &Path) -> Option<(u16, Session)> {
     };
     let person = session_folder.parent()?.file_name()?.to_str()?.strip_prefix("Participant")?.parse().ok()?;
     Some((person, session))
+}
+
+/// As [`origin`], or if the folder's name does not say it, that of the folder to which it leads through links.
+pub fn origin_through_links(folder: &Path) -> Option<(u16, Session)> {
+    origin(folder).or_else(|| origin(&fs::canonicalize(folder).ok()?))
+}
+
+/// Whether a folder of [`origin`] is for EMG: it is called so, or holds such files. Others hold the movements of the armband.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn holds_emg(folder: &Path) -> Result<bool, RecordingError> {
+    let is_called_so = folder.file_name().is_some_and(|name| name.eq_ignore_ascii_case("EMG"));
+    Ok(is_called_so || !list(folder)?.is_empty())
 }
 
 /// Repetition and gesture number in a file's name, if it is a 3DC recording's.

@@ -33,7 +33,7 @@ pub use acquire::{AcquireError, acquire, open_blocks};
 pub use assemble::{BlockAssembler, Chunk};
 pub use clock::DeviceClock;
 pub use offer::{Choice, Offer, OfferError, OfferedChannel};
-pub use paced::{BlockMaker, Pace, Paced};
+pub use paced::{BlockMaker, MadeBlock, Pace, Paced};
 pub use tendon_signal::{UnitError, canonical_unit, unit_factor};
 
 /// What to wait for until [`Source::next_block`] may have a block.

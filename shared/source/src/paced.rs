@@ -10,16 +10,24 @@ use crate::{Block, Next, Source, SourceError, Wait};
 
 /// Makes one block of samples after the other, at any pace.
 pub trait BlockMaker {
-    /// Writes the next block, `[channels × samples]`, channel-major; gives the truth at its newest sample, or `None`
-    /// at the end.
+    /// Writes the next block, `[channels × samples]`, channel-major, and describes it; `None` at the end.
     ///
     /// # Errors
     ///
     /// [`SourceError`] when the recording cannot be read.
-    fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError>;
+    fn make(&mut self, samples: &mut [f32]) -> Result<Option<MadeBlock>, SourceError>;
 
     /// As [`Source::set_gesture`].
     fn set_gesture(&mut self, _gesture: Gesture, _effort: f32) {}
+}
+
+/// A block as its maker describes it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MadeBlock {
+    /// Samples that are missing before its first one.
+    pub lost_samples: u64,
+    /// The truth at its newest sample.
+    pub truth: Truth,
 }
 
 /// How fast blocks come.
@@ -49,7 +57,8 @@ pub struct Paced<M> {
     block_samples: usize,
     jitter: Xoshiro256PlusPlus,
     start_ns: u64,
-    blocks: u64,
+    /// Samples so far, those missing included.
+    elapsed_samples: u64,
 }
 
 impl<M: BlockMaker> Paced<M> {
@@ -57,7 +66,7 @@ impl<M: BlockMaker> Paced<M> {
     pub fn new(maker: M, pace: Pace, block_samples: usize) -> Paced<M> {
         let seed = if let Pace::True { seed, .. } = pace { seed } else { 0 };
         let jitter = Xoshiro256PlusPlus::seed_from_u64(seed);
-        Paced { maker, pace, block_samples, jitter, start_ns: 0, blocks: 0 }
+        Paced { maker, pace, block_samples, jitter, start_ns: 0, elapsed_samples: 0 }
     }
 }
 
@@ -76,14 +85,13 @@ impl<M: BlockMaker> Source for Paced<M> {
     }
 
     fn next_block(&mut self, samples: &mut [f32]) -> Result<Next, SourceError> {
-        let Some(truth) = self.maker.make(samples)? else { return Ok(Next::End) };
-        let first_sample = self.blocks * self.block_samples as u64;
-        self.blocks += 1;
+        let Some(MadeBlock { lost_samples, truth }) = self.maker.make(samples)? else { return Ok(Next::End) };
+        let first_sample = self.elapsed_samples + lost_samples;
+        self.elapsed_samples = first_sample + self.block_samples as u64;
         let (captured_ns, publish_at_ns) = match self.pace {
             Pace::True { sample_rate_hz, jitter_ns, .. } => {
                 // From the start, so that no error adds up.
-                let elapsed_samples = self.blocks * self.block_samples as u64;
-                let due_ns = self.start_ns + (elapsed_samples as f64 * 1e9 / sample_rate_hz) as u64;
+                let due_ns = self.start_ns + (self.elapsed_samples as f64 * 1e9 / sample_rate_hz) as u64;
                 (due_ns, due_ns + (jitter_ns * self.jitter.random::<f64>()) as u64)
             }
             Pace::Full => (now_ns(), 0),
@@ -106,23 +114,25 @@ impl<M: BlockMaker> Source for Paced<M> {
 mod tests {
     use super::*;
 
+    /// Blocks left. 20 samples are missing before the last one.
     struct Ones(u32);
 
     impl BlockMaker for Ones {
-        fn make(&mut self, samples: &mut [f32]) -> Result<Option<Truth>, SourceError> {
+        fn make(&mut self, samples: &mut [f32]) -> Result<Option<MadeBlock>, SourceError> {
             samples.fill(1.0);
             self.0 -= 1;
-            Ok((self.0 > 0).then(Truth::default))
+            let lost_samples = if self.0 == 1 { 20 } else { 0 };
+            Ok((self.0 > 0).then_some(MadeBlock { lost_samples, ..MadeBlock::default() }))
         }
     }
 
     #[test]
-    fn blocks_are_due_one_after_the_other_from_the_start_and_end() {
+    fn blocks_are_due_one_after_the_other_from_the_start_but_for_missing_samples_and_end() {
         let pace = Pace::True { sample_rate_hz: 2000.0, jitter_ns: 0.0, seed: 1 };
         let mut source = Paced::new(Ones(4), pace, 10);
         source.start().unwrap();
         let mut samples = [0.0; 10];
-        for block in 0..3_u64 {
+        for block in [0, 1, 4_u64] {
             let Next::Block(made) = source.next_block(&mut samples).unwrap() else { panic!("a block") };
             assert_eq!(made.first_sample, 10 * block);
             assert_eq!(made.captured_ns, source.start_ns + 5_000_000 * (block + 1));
