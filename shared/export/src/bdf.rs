@@ -74,24 +74,45 @@ pub(crate) struct RecordLength {
     pub(crate) seconds: String,
 }
 
+/// Samples between two gaps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Part {
+    /// Samples of each signal.
+    pub(crate) samples: u64,
+    /// How many would fit into the gap behind them.
+    pub(crate) room: u64,
+}
+
+impl Part {
+    /// Samples with which the last of its records is filled up.
+    pub(crate) fn filled(self, record_samples: usize) -> u64 {
+        self.samples.next_multiple_of(record_samples as u64) - self.samples
+    }
+}
+
 impl RecordLength {
-    /// The length, of a tenth of a second to a second, with the fewest samples to be filled up at the ends of these `parts`
-    /// (samples of each). Its time in at most 8 characters gives the rate to 0.1 ppm, or as nearly as there is one.
-    pub(crate) fn choose(sample_rate_hz: f64, channels: usize, parts: &[u64]) -> RecordLength {
+    /// The length, of a tenth of a second to a second, with the fewest samples to be filled up at the ends of these parts; a
+    /// shorter one where these would not fit into the gaps, as records must not overlap. Its time in at most 8 characters
+    /// gives the rate to 0.1 ppm, or as nearly as there is one.
+    pub(crate) fn choose(sample_rate_hz: f64, channels: usize, parts: &[Part]) -> RecordLength {
         let most = (sample_rate_hz.ceil() as usize).clamp(1, LARGEST_RECORD / 3 / channels.max(1));
-        let least = (most / 10).max(1);
-        let candidates = (least..=most).map(|samples| {
+        let fits = |samples: &usize| parts.iter().all(|part| part.filled(*samples) <= part.room);
+        let of_rate = |samples: usize| {
             let length_s = samples as f64 / sample_rate_hz;
             let seconds = shortest(length_s);
             let error = (seconds.parse::<f64>().unwrap_or_default() / length_s - 1.0).abs();
-            let filled: u64 = parts.iter().map(|part| part.next_multiple_of(samples as u64) - part).sum();
-            (RecordLength { samples, seconds }, error.max(1e-7), filled)
-        });
-        let best = candidates.min_by(|(a, a_error, a_filled), (b, b_error, b_filled)| {
-            let longer_first = b.samples.cmp(&a.samples);
-            a_error.total_cmp(b_error).then(a_filled.cmp(b_filled)).then(longer_first)
-        });
-        best.map_or(RecordLength { samples: 1, seconds: shortest(1.0 / sample_rate_hz) }, |(best, ..)| best)
+            (RecordLength { samples, seconds }, error.max(1e-7))
+        };
+        let long =
+            (most.div_ceil(10)..=most).filter(fits).map(of_rate).min_by(|(a, a_error), (b, b_error)| {
+                let filled =
+                    |record: &RecordLength| parts.iter().map(|part| part.filled(record.samples)).sum::<u64>();
+                let longer_first = b.samples.cmp(&a.samples);
+                a_error.total_cmp(b_error).then_with(|| filled(a).cmp(&filled(b))).then(longer_first)
+            });
+        let short = || (1..most.div_ceil(10)).rev().filter(fits).map(of_rate);
+        let best = long.or_else(|| short().min_by(|(_, a_error), (_, b_error)| a_error.total_cmp(b_error)));
+        best.map_or_else(|| of_rate(1).0, |(best, _)| best)
     }
 }
 
@@ -349,13 +370,19 @@ mod tests {
 
     #[test]
     fn a_record_fits_the_rate_and_the_parts() {
-        let choose = |rate_hz, parts: &[u64]| {
-            let RecordLength { samples, seconds } = RecordLength::choose(rate_hz, 4, parts);
+        let choose = |rate_hz, parts: &[(u64, u64)]| {
+            let parts: Vec<Part> = parts.iter().map(|&(samples, room)| Part { samples, room }).collect();
+            let RecordLength { samples, seconds } = RecordLength::choose(rate_hz, 4, &parts);
             (samples, seconds)
         };
-        assert_eq!(choose(2000.0, &[40_000]), (2000, "1".to_owned()));
-        assert_eq!(choose(2000.0, &[3_000]), (1500, "0.75".to_owned()));
-        let (samples, seconds) = choose(1925.926, &[19_266]);
+        let last = u64::MAX;
+        assert_eq!(choose(2000.0, &[(40_000, last)]), (2000, "1".to_owned()));
+        assert_eq!(choose(2000.0, &[(3_000, last)]), (1500, "0.75".to_owned()));
+        // Nothing overlaps: 100 samples more do not fit into a gap of 10, and single lost samples leave no choice.
+        assert_eq!(choose(2000.0, &[(3_900, 10), (4_000, last)]).0, 217);
+        assert_eq!(choose(2000.0, &[(40, 30), (20, 10), (50, last)]).0, 20);
+        assert_eq!(choose(2000.0, &[(41, 0), (30, 0), (50, last)]).0, 1);
+        let (samples, seconds) = choose(1925.926, &[(19_266, last)]);
         assert!((samples as f64 / seconds.parse::<f64>().unwrap() / 1925.926 - 1.0).abs() < 2e-7);
     }
 

@@ -14,6 +14,7 @@ use tendon_session_file::{
 };
 use tendon_zones::TaskReport;
 
+use crate::bdf::Part;
 use crate::{ExportError, Timeline};
 
 /// Samples that are missing.
@@ -150,11 +151,12 @@ impl Survey {
         timeline.sample_of_s(trace, newest)
     }
 
-    /// The parts between the gaps: the samples of each.
-    pub(crate) fn parts(&self) -> Vec<u64> {
-        let ends = self.gaps.iter().map(|gap| gap.row).chain([self.samples]);
+    /// The parts between the gaps.
+    pub(crate) fn parts(&self) -> Vec<Part> {
+        let room = |gap: &Gap| ((gap.end_s - gap.start_s) * self.sample_rate_hz).round() as u64;
+        let ends = self.gaps.iter().map(|gap| (gap.row, room(gap))).chain([(self.samples, u64::MAX)]);
         let starts = [0].into_iter().chain(self.gaps.iter().map(|gap| gap.row));
-        starts.zip(ends).map(|(start, end)| end - start).collect()
+        starts.zip(ends).map(|(start, (end, room))| Part { samples: end - start, room }).collect()
     }
 
     /// Name of a gesture; empty for a number that stands for none.

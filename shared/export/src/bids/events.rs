@@ -51,10 +51,11 @@ pub(super) fn gather(
 /// Where a part ends within a record, which is filled up.
 fn filled(survey: &Survey, record_samples: usize) -> impl Iterator<Item = BidsEvent> {
     let ends_s = survey.gaps.iter().map(|gap| gap.start_s).chain([survey.duration_s]);
-    let ends = survey.parts().into_iter().zip(ends_s).map(move |(part, end_s)| {
-        let filled = part.next_multiple_of(record_samples as u64) - part;
-        (end_s, filled as f64 / survey.sample_rate_hz)
-    });
+    let ends = survey
+        .parts()
+        .into_iter()
+        .zip(ends_s)
+        .map(move |(part, end_s)| (end_s, part.filled(record_samples) as f64 / survey.sample_rate_hz));
     ends.filter(|(_, filled_s)| *filled_s > 0.0).map(|(onset_s, duration_s)| {
         let text = "the last value fills up the record".to_owned();
         BidsEvent { onset_s, duration_s, kind: "filled", text }

@@ -32,7 +32,7 @@ pub(super) fn write(
         is_discontinuous: !survey.gaps.is_empty(),
         signals: signals.to_vec(),
         annotations: events.iter().map(BidsEvent::annotation).collect(),
-        records: survey.parts().iter().map(|part| part.div_ceil(record.samples as u64)).sum(),
+        records: survey.parts().iter().map(|part| part.samples.div_ceil(record.samples as u64)).sum(),
         record,
     };
     let mut records = Records::begin(survey, &header, output).map_err(&failed)?;
