@@ -9,6 +9,7 @@ import { number, show, text } from "./texts.js";
 const START_VIEW = { yaw: -2.55, pitch: 0.42 };
 const KEY_TURN_RAD = Math.PI / 24;
 const DRAG_RAD_PER_PX = 0.008;
+const MARGIN_PX = 20;
 const PATH_MS = 10_000;
 /** Pulses of the xArm gripper when it is open. */
 const GRIPPER_OPEN_PULSES = 850;
@@ -113,26 +114,43 @@ export class ArmView {
     sheet.clear();
     if (!hello) return;
     const { min, max } = hello.workspace_mm;
-    const middle = [(Math.min(0, min[0]) + max[0]) / 2, (min[1] + max[1]) / 2, max[2] / 2];
-    const radius = Math.hypot(max[0] - middle[0], max[1] - middle[1], max[2] - middle[2]);
-    const scale = Math.min(sheet.width, sheet.height * 1.25) / (2 * radius);
-    const [cy, sy, cp, sp] = [Math.cos(this.view.yaw), Math.sin(this.view.yaw), Math.cos(this.view.pitch), Math.sin(this.view.pitch)];
-    this.project = ([x, y, z]) => {
-      const [dx, dy, dz] = [x - middle[0], y - middle[1], z - middle[2]];
-      const nearness = (dx * cy + dy * sy) * cp + dz * sp;
-      const perspective = scale * (4 * radius) / (4 * radius - nearness);
-      return [
-        sheet.width / 2 + (-dx * sy + dy * cy) * perspective,
-        sheet.height / 2 - (-(dx * cy + dy * sy) * sp + dz * cp) * perspective,
-        perspective,
-      ];
-    };
+    this.project = this.camera(min, max);
     this.drawFloor(min, max);
     this.drawBox(min, max);
     if (!state || !this.isKnown) return;
     if (state.zone) this.drawZone(state.zone);
     this.drawPath();
     this.drawArm(state);
+  }
+
+  /** The projection that shows the workspace box and the arm's base as large as the canvas lets it. */
+  camera(min, max) {
+    const { sheet } = this;
+    const [cy, sy] = [Math.cos(this.view.yaw), Math.sin(this.view.yaw)];
+    const [cp, sp] = [Math.cos(this.view.pitch), Math.sin(this.view.pitch)];
+    const middle = [(Math.min(0, min[0]) + max[0]) / 2, (min[1] + max[1]) / 2, max[2] / 2];
+    const distance = 4 * Math.hypot(...max.map((value, axis) => value - middle[axis]));
+    const project = (point) => {
+      const [dx, dy, dz] = point.map((value, axis) => value - middle[axis]);
+      const perspective = distance / (distance - (dx * cy + dy * sy) * cp - dz * sp);
+      return [(-dx * sy + dy * cy) * perspective, (-(dx * cy + dy * sy) * sp + dz * cp) * perspective, perspective];
+    };
+    const shown = [[0, -100, 0], [0, 100, 0], [0, 0, max[2]]];
+    for (const x of [min[0], max[0]]) for (const y of [min[1], max[1]]) for (const z of [0, max[2]]) shown.push([x, y, z]);
+    const [across, up] = [0, 1].map((axis) => {
+      const values = shown.map((point) => project(point)[axis]);
+      return { least: Math.min(...values), most: Math.max(...values) };
+    });
+    const scale = Math.min((sheet.width - 2 * MARGIN_PX) / (across.most - across.least),
+      (sheet.height - 2 * MARGIN_PX) / (up.most - up.least));
+    return (point) => {
+      const [right, above, perspective] = project(point);
+      return [
+        sheet.width / 2 + (right - (across.least + across.most) / 2) * scale,
+        sheet.height / 2 - (above - (up.least + up.most) / 2) * scale,
+        perspective * scale,
+      ];
+    };
   }
 
   stroke(points, name, width, dash = []) {

@@ -93,7 +93,7 @@ export class Latency {
     const facts = [text("losses", {
       samples: number(state.lost_samples), blocks: number(state.lost_blocks), stale: number(Number(state.stale ?? 0)), restarts: number(state.restarts),
     })];
-    if (paper) facts.push(text("paper-is", { median: number(paper.median_ms), mean: number(paper.mean_ms) }));
+    if (paper) facts.push(text("paper-is", { median: number(paper.median_ms) }));
     show(this.facts, facts.join(" "));
   }
 }

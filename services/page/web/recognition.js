@@ -37,11 +37,13 @@ export class Recognition {
     this.hello = hello;
     this.rows = hello.gestures.map((gesture) => {
       const row = document.createElement("li");
-      const [name, bar, share] = ["span", "meter", "span"].map((tag) => row.appendChild(document.createElement(tag)));
-      name.className = "bar-name";
-      share.className = "bar-share";
-      bar.max = 1;
-      return { gesture, row, name, bar, share };
+      const [name, bar, share] = ["bar-name", "bar", "bar-share"].map((part) => {
+        const element = row.appendChild(document.createElement("span"));
+        element.className = part;
+        return element;
+      });
+      const filled = bar.appendChild(document.createElement("span"));
+      return { gesture, row, name, filled, share };
     });
     this.list.replaceChildren(...this.rows.map(({ row }) => row));
     this.list.classList.toggle("is-long", this.rows.length > 7);
@@ -63,12 +65,11 @@ export class Recognition {
     const index = modeIndex(hello, state);
     const mode = hello.modes[index];
     show(this.mode, mode ? text("mode-is", { mode: mode.name, place: index + 1, count: hello.modes.length }) : "");
-    this.rows.forEach(({ gesture, row, name, bar, share }, place) => {
+    this.rows.forEach(({ gesture, row, name, filled, share }, place) => {
       const probability = state.probabilities?.[place];
       const does = motionOf(hello, state, gesture);
       show(name, does ? text("gesture-does", { gesture: gestureName(gesture), motion: does }) : gestureName(gesture));
-      bar.value = Number.isFinite(probability) ? probability : 0;
-      bar.setAttribute("aria-label", gestureName(gesture));
+      filled.style.transform = `scaleX(${Number.isFinite(probability) ? probability : 0})`;
       show(share, number(probability, 2));
       row.classList.toggle("is-voted", gesture === voted && !state.unsure);
     });

@@ -49,7 +49,9 @@ export function hasText(key) {
 /** A number in the chosen language; a dash where it is not known. */
 export function number(value, decimals = 0) {
   if (typeof value !== "number" || !Number.isFinite(value)) return "–";
-  const shown = value.toLocaleString(language, { minimumFractionDigits: decimals, maximumFractionDigits: decimals });
+  const shown = value.toLocaleString(language, {
+    useGrouping: "min2", minimumFractionDigits: decimals, maximumFractionDigits: decimals,
+  });
   return /^-[0.,]*$/.test(shown) ? shown.slice(1) : shown;
 }
 
