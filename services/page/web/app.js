@@ -68,6 +68,7 @@ const connection = new Connection({
     for (const values of document.querySelectorAll("main section:not(#session), #session-facts")) values.inert = why !== null;
     orders.lookAway(why);
     if (why === null) return;
+    isStateNew = false;
     latency.lookAway();
     showAway(why);
   },
@@ -78,7 +79,7 @@ afterPaint.port1.onmessage = () => latency.painted(connection.serverNowMs());
 
 function draw() {
   isScheduled = false;
-  if (isStateNew && hello !== null && state !== null) {
+  if (isStateNew && hello !== null && connection.why === null) {
     isStateNew = false;
     showStanding(standing(hello, state));
     for (const part of [traces, recognition, arm, latency, session]) part.showState(state);
@@ -108,7 +109,7 @@ function showStanding({ tone, title, detail }) {
 
 function chooseAgain(tag) {
   chooseLanguage(tag);
-  isStateNew = state !== null;
+  isStateNew = state !== null && connection.why === null;
   if (connection.why) showAway(connection.why);
   session.refresh();
   orders.refresh();

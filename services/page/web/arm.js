@@ -135,8 +135,11 @@ export class ArmView {
       const perspective = distance / (distance - (dx * cy + dy * sy) * cp - dz * sp);
       return [(-dx * sy + dy * cy) * perspective, (-(dx * cy + dy * sy) * sp + dz * cp) * perspective, perspective];
     };
-    const shown = [[0, -100, 0], [0, 100, 0], [0, 0, max[2]]];
-    for (const x of [min[0], max[0]]) for (const y of [min[1], max[1]]) for (const z of [0, max[2]]) shown.push([x, y, z]);
+    const shown = [[0, 0, max[2]]];
+    for (const y of [min[1], max[1]]) {
+      shown.push([0, y, 0]);
+      for (const x of [min[0], max[0]]) for (const z of [0, max[2]]) shown.push([x, y, z]);
+    }
     const [across, up] = [0, 1].map((axis) => {
       const values = shown.map((point) => project(point)[axis]);
       return { least: Math.min(...values), most: Math.max(...values) };
@@ -183,9 +186,9 @@ export class ArmView {
     context.font = `13px ${FONT}`;
     context.textAlign = "center";
     const [x, y] = this.project([(min[0] + max[0]) / 2, max[1], max[2]]);
-    context.fillText(text("workspace-left"), x, y - 6);
+    context.fillText(text("workspace-left"), x, y - 8);
     const [otherX, otherY] = this.project([(min[0] + max[0]) / 2, min[1], max[2]]);
-    context.fillText(text("workspace-right"), otherX, otherY - 6);
+    context.fillText(text("workspace-right"), otherX, otherY - 8);
     context.textAlign = "left";
   }
 

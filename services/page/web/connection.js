@@ -4,6 +4,8 @@
 //          ◀── ping, order ──
 
 const PING_MS = 1000;
+/** Until so many pings were answered they go out four times as often. */
+const FEW_TRIPS = 8;
 /** The arm's state comes 30 times a second; after so long without any, what is shown is old. */
 const SILENCE_MS = 1000;
 const FIRST_RETRY_MS = 300;
@@ -28,7 +30,7 @@ export class Connection {
     this.why = undefined;
     // Round trips of the last pings; the shortest tells the clock difference best.
     this.trips = [];
-    this.pingedMs = 0;
+    this.pingedMs = -Infinity;
   }
 
   begin() {
@@ -55,7 +57,8 @@ export class Connection {
       wasOpen = true;
       this.retryMs = FIRST_RETRY_MS;
       this.trips = [];
-      this.pingedMs = 0;
+      this.pingedMs = -Infinity;
+      this.tick();
     };
     socket.onmessage = (event) => {
       if (typeof event.data === "string") this.hear(JSON.parse(event.data));
@@ -85,7 +88,7 @@ export class Connection {
   tick() {
     if (!this.isOpen) return;
     const nowMs = performance.now();
-    if (nowMs - this.pingedMs >= PING_MS) {
+    if (nowMs - this.pingedMs >= (this.trips.length < FEW_TRIPS ? PING_MS / 4 : PING_MS)) {
       this.pingedMs = nowMs;
       this.send({ ping: { t: nowMs } });
     }

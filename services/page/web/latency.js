@@ -42,7 +42,7 @@ export class Latency {
     this.awaiting = [];
   }
 
-  /** Everything that was awaited has been handed to the screen. */
+  /** Everything that was awaited has been handed to the screen, which shows it with its next refresh. */
   painted(serverNowMs) {
     // Before the first answer to a ping the server's clock is not known.
     if (serverNowMs !== null) {

@@ -58,11 +58,13 @@ export class Orders {
     }
     const id = this.next;
     this.next += 1;
-    if (this.connection.why !== null || !this.connection.send({ order: { id, what } })) {
+    // A session that is silent may still hear: only STOP is tried then.
+    const isHeard = this.connection.why === null || what === "stop";
+    if (!isHeard || !this.connection.send({ order: { id, what } })) {
       this.tell(what === "stop" ? "stop-not-sent" : "arm-not-sent", "bad");
       return;
     }
-    const asked = { id, atMs: performance.now() };
+    const asked = { id };
     this.asked.set(what, asked);
     this.tell(`${what}-asked`, "wait");
     setTimeout(() => {
@@ -91,10 +93,9 @@ export class Orders {
     this.refresh();
   }
 
-  /** No order of a connection that is gone is confirmed by the next. */
+  /** Values have stopped, with a reason, or come again: no order of a connection that is gone is confirmed by the next. */
   lookAway(why) {
-    if (why === null) return;
-    this.state = null;
+    if (why !== null) this.state = null;
     for (const what of [...this.asked.keys()]) {
       this.asked.delete(what);
       this.tell(`${what}-not-confirmed`, "bad");
@@ -111,12 +112,16 @@ export class Orders {
   }
 
   refresh() {
-    const isStopped = this.state?.permission === "stopped" && this.state.phase !== "going-to-start";
+    // While it comes up and goes to its start position the arm moves, or soon will, though it follows no gesture.
+    const isUnderWay = ["bringing-up", "going-to-start"].includes(this.state?.phase);
+    const isStopped = this.state?.permission === "stopped" && !isUnderWay;
     const stopKey = this.asked.has("stop") ? "stop-button-asked" : isStopped ? "stop-button-stopped" : "stop-button";
     show(this.stop.firstElementChild, text(stopKey));
-    show(this.stop.lastElementChild, text(this.rights === "watch" ? "watch-note" : "stop-note"));
+    const note = this.rights === "watch" ? "watch-note" : this.connection.isOpen ? "stop-note" : "away-note";
+    show(this.stop.lastElementChild, text(note));
     show(this.arm.firstElementChild, text(this.asked.has("arm") ? "arm-button-asked" : "arm-button"));
     show(this.arm.lastElementChild, text("arm-note"));
+    this.stop.classList.toggle("is-away", !this.connection.isOpen);
     this.stop.classList.toggle("is-asked", this.asked.has("stop"));
     this.stop.classList.toggle("is-stopped", isStopped);
     this.stop.setAttribute("aria-disabled", String(this.rights === "watch"));

@@ -91,10 +91,16 @@ export class Traces {
       unit: hello.channels[0]?.unit ?? text("unit-none"),
     }));
     const wrong = [...this.troubles].slice(0, 3).map(([channel, kind]) =>
-      text("channel-trouble", { channel: this.name(channel), trouble: text(`trouble.${kind}`) }));
+      text("channel-trouble", { channel: this.spokenName(channel), trouble: text(`trouble.${kind}`) }));
     if (this.troubles.size > 3) wrong.push(text("more-channels", { count: this.troubles.size - 3 }));
     show(this.electrodes, wrong.length === 0 ? text("electrodes-good") : `${wrong.join(" · ")} · ${text("check-electrodes")}`);
     this.electrodes.classList.toggle("is-bad", wrong.length > 0);
+  }
+
+  /** "channel 2" where the name is a bare number. */
+  spokenName(channel) {
+    const name = this.name(channel);
+    return /^\d+$/.test(name) ? text("channel-number", { number: name }) : name;
   }
 
   name(channel) {
@@ -110,7 +116,7 @@ export class Traces {
     const rowPx = (sheet.height - AXIS_PX) / count;
     const plotPx = sheet.width - LABEL_PX - METER_PX;
     const top = this.amplitude.follow(this.typicalPeak());
-    const envelopeTop = this.envelopeScale.follow(Math.max(0, ...this.envelope.filter(Number.isFinite)));
+    const envelopeTop = this.envelopeScale.follow(this.greatestEnvelope());
     context.textBaseline = "middle";
     for (let channel = 0; channel < count; channel += 1) {
       const middlePx = (channel + 0.5) * rowPx;
@@ -132,6 +138,12 @@ export class Traces {
       return peak;
     }).sort((a, b) => a - b);
     return peaks[Math.floor(0.75 * (peaks.length - 1))];
+  }
+
+  /** The greatest envelope, and never less than a few times the rest: a bar at rest is short. */
+  greatestEnvelope() {
+    const known = (values, factor) => [...values].filter(Number.isFinite).map((value) => factor * value);
+    return Math.max(0, ...known(this.envelope, 1), ...known(this.rest, 6));
   }
 
   drawLabel(channel, middlePx, rowPx) {
