@@ -139,11 +139,14 @@ impl Recording {
                 path.display()
             );
         }
+        let unit = if summary.unit.is_empty() { String::new() } else { format!(" in {}", summary.unit) };
+        // Of a rate such as 1925.925926 as many digits as say something.
+        let rate_hz = (summary.sample_rate_hz * 1e3).round() / 1e3;
         let description = format!(
-            "{}, {:.1} s at {} Hz, columns {columns}",
+            "{}, {:.1} s at {} Hz, columns {columns}{unit}",
             path.display(),
             summary.duration_s,
-            summary.sample_rate_hz
+            rate_hz
         );
         let gestures = config.decision.gestures.clone();
         Ok((Recording { stream, next_sample: 0, gestures }, description))
