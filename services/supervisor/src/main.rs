@@ -16,6 +16,7 @@ mod doctor;
 mod evaluate;
 mod experiments;
 mod latency;
+mod model_channels;
 mod note;
 mod options;
 mod order;
