@@ -180,9 +180,8 @@ fn the_recipe_of_the_models_page_works_on_3dc_as_it_is_downloaded() {
     std::os::unix::fs::symlink(elsewhere.path().join("Participant22"), data.join("Participant22")).unwrap();
     let ended = build.end();
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
-    for part in ["windows of 4 people, 12 recordings\n", "\n  1 file that is no recording: "] {
-        assert!(ended.output.contains(part), "{ended:#?}");
-    }
+    assert!(ended.output.contains("windows of 4 people, 12 recordings"), "{ended:#?}");
+    assert!(ended.output.contains("4 files that are no recordings"), "{ended:#?}");
 }
 
 #[test]

@@ -32,6 +32,9 @@ pub enum Command {
     /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD; saved with `save -v7`), or files
     ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Files in a folder `filtered` need --filtered.
     ///
+    /// * Your own: files .edf, .bdf or .xdf whose annotations or markers name gestures; of the person that sub-PERSON_….edf or
+    ///   the folder names.
+    ///
     /// * Your own: tables (.csv, .tsv, .txt; one line per sample, one column per channel) and a labels.csv in the same
     ///   folder with the header file,person,session,repetition,gesture,start_sample,end_sample. Needs
     ///   --recording-rate-hz. The session is optional, and so are start and end where the whole file is one trial.

@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{
-    RecordedSession, RecordingError, Segment, SkippedEntry, SkippedKind, ozdemir, three_dc,
+    Channel, RecordedSession, RecordingError, Segment, Signals, SkippedEntry, SkippedKind, is_signals,
+    ozdemir, three_dc,
 };
 use tendon_signal::canonical_unit;
 
@@ -29,7 +30,7 @@ pub enum Layout {
     OzdemirMat,
     /// Ozdemir 2022, a file a trial: `P<person>_C<cycle>_G<gesture>.csv`.
     OzdemirTrials,
-    /// Text tables and a `labels.csv`.
+    /// Your own: text tables and a `labels.csv`, or files with cues inside.
     Labelled,
 }
 
@@ -68,7 +69,7 @@ impl fmt::Display for Layout {
             Layout::ThreeDc => "3DC",
             Layout::OzdemirMat => "Ozdemir 2022 (.mat)",
             Layout::OzdemirTrials => "Ozdemir 2022 (a .csv a trial)",
-            Layout::Labelled => "tables with labels.csv",
+            Layout::Labelled => "recordings with labels",
         })
     }
 }
@@ -93,7 +94,8 @@ pub struct Recordings {
 /// | a folder `ParticipantP/{train,test}/EMG` | 3DC: its files `3dc_EMG_gesture_R_G.txt`, each repetition R joined; the `IMU` folder beside it is passed over |
 /// | files `.mat` | Ozdemir 2022: one a person |
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
-/// | a folder with `labels.csv` | the tables that it names |
+/// | a folder with `labels.csv` | the tables and other files that it names |
+/// | files `.edf`, `.bdf`, `.xdf` | each by itself, with its annotations or markers that name gestures |
 ///
 /// Files that look like recordings but match none of these are listed as skipped. Links to folders are followed; of each path, a
 /// folder is looked at once, however many links lead to it.
@@ -107,9 +109,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
     for path in paths {
         let skipped_before = found.skipped.len();
         found.entered.clear();
-        let candidates = found.gather(path, true)?;
-        found.skip_without_emg();
-        if candidates == 0 {
+        if found.gather(path, true)? == 0 {
             let hint = found.skipped.get(skipped_before);
             let hint = hint.map(|skipped| format!(" ({}: {})", skipped.path.display(), skipped.reason));
             return Err(ListingError::NoRecordings { path: path.clone(), hint: hint.unwrap_or_default() });
@@ -154,8 +154,6 @@ struct Found {
     seen: BTreeSet<PathBuf>,
     /// The folders below the present path that were looked into, as the system names them.
     entered: BTreeSet<PathBuf>,
-    /// Folders of 3DC with something else, such as the armband's movements.
-    without_emg: Vec<PathBuf>,
     skipped: Vec<SkippedEntry>,
 }
 
@@ -169,7 +167,7 @@ impl Found {
             }
             if three_dc::origin_through_links(path).is_some() {
                 if !three_dc::holds_emg(path)? {
-                    self.without_emg.push(path.to_owned());
+                    self.skip(path, SkippedKind::OtherFile, "it holds no EMG");
                     return Ok(0);
                 }
                 return Ok(self.add(Layout::ThreeDc, path));
@@ -191,6 +189,9 @@ impl Found {
         }
         if ozdemir::trial_of_name(path).is_some() {
             return Ok(self.add(Layout::OzdemirTrials, path));
+        }
+        if is_signals(path) {
+            return Ok(self.add(Layout::Labelled, path));
         }
         if path.file_name().is_some_and(|name| name == labels::FILE_NAME) {
             return Ok(self.add(Layout::Labelled, path.parent().unwrap_or(Path::new("."))));
@@ -221,18 +222,6 @@ impl Found {
             self.skip(path, SkippedKind::Twice, "it was given twice and is used once");
         }
         1
-    }
-
-    /// Lists the folders of 3DC without EMG in one entry.
-    fn skip_without_emg(&mut self) {
-        let folders = std::mem::take(&mut self.without_emg);
-        let Some(first) = folders.first() else { return };
-        let others = match folders.len() - 1 {
-            0 => String::new(),
-            1 => "; so is one other folder like it".to_owned(),
-            others => format!("; so are {others} other folders like it"),
-        };
-        self.skip(first, SkippedKind::OtherFile, &format!("it holds no EMG and is passed over{others}"));
     }
 
     fn skip(&mut self, path: &Path, kind: SkippedKind, reason: &str) {
@@ -395,15 +384,22 @@ fn labelled_recordings(
     let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
+        if is_signals(folder) && folder.is_file() {
+            files.extend(own_cues(folder, unit, skipped)?.map(|file| (file, None)));
+            continue;
+        }
         let recorded = RecordedSession::read(folder)?;
         let default_hz = recorded.as_ref().map(|session| session.sample_rate_hz);
-        if settings.recording_rate_hz.or(default_hz).is_none() {
-            return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
-        }
         if let Some(recorded) = recorded.as_ref().filter(|_| unit.is_empty()) {
             *unit = canonical_unit(&recorded.unit).to_owned();
         }
         for mut file in labels::read(folder, skipped)? {
+            if settings.recording_rate_hz.or(default_hz).is_none() && !is_signals(&file.path) {
+                return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
+            }
+            if unit.is_empty() && is_signals(&file.path) {
+                *unit = canonical_unit(&Signals::read(&file.path, &[Channel::Index(0)])?.unit).to_owned();
+            }
             if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {
                 file.person = session.person;
             }
@@ -430,13 +426,62 @@ fn labelled_recordings(
             return Err(ListingError::TooManyRepetitions { person });
         }
         let place = names.iter().position(|name| *name == session).unwrap_or(0) as u32;
+        let content = match is_signals(&path) {
+            // Those of the folder's labels; its own cues are found again when it is opened.
+            true => {
+                Content::Signals { segments: folder_of_file.contains_key(&real(&path)).then_some(segments) }
+            }
+            false => Content::Table { segments, default_hz },
+        };
         recordings.push(Recording {
             path,
             person,
             session,
             repetitions_before: place * repetitions,
-            content: Content::Table { segments, default_hz },
+            content,
         });
     }
     Ok(recordings)
+}
+
+/// A file whose annotations or markers say what was done when; `None` if it cannot be used. Its unit becomes `unit` if that is
+/// empty.
+fn own_cues(
+    file: &Path,
+    unit: &mut String,
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<Option<LabelledFile>, ListingError> {
+    let mut skip = |kind, reason: String| {
+        skipped.push(SkippedEntry { path: file.to_owned(), kind, reason });
+        Ok(None)
+    };
+    let signals = match Signals::read(file, &[Channel::Index(0)]) {
+        Ok(signals) => signals,
+        Err(error) => return skip(SkippedKind::Unreadable, error.below(file)),
+    };
+    if signals.cues.is_empty() {
+        return skip(
+            SkippedKind::NoLabel,
+            "no annotation or marker in it names a gesture: write a labels.csv beside it that says what it shows".to_owned(),
+        );
+    }
+    let Some((person, session)) = labels::origin_of_name(file) else {
+        return skip(
+            SkippedKind::Person,
+            "neither its name nor its folder's says whose it is: call it sub-PERSON_….edf, or put it into a folder with the \
+             person's name"
+                .to_owned(),
+        );
+    };
+    let own_unit = canonical_unit(&signals.unit);
+    if unit.is_empty() {
+        *unit = own_unit.to_owned();
+    } else if *unit != own_unit {
+        return skip(
+            SkippedKind::Other,
+            format!("its samples are in {own_unit}, those of others in {unit}: give them separately"),
+        );
+    }
+    let segments = signals.segments(file);
+    Ok(Some(LabelledFile { path: file.to_owned(), person, session, segments }))
 }

@@ -17,7 +17,7 @@ use tendon_dataset::{
 };
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
-use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder, SkippedEntry, SkippedKind};
+use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder, SkippedKind};
 use tendon_signal::WindowSettings;
 
 /// People of a data set that counts them.
@@ -672,6 +672,101 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     assert_eq!(window[100..200 - offset], whole.window(at)[100 + offset..]);
 }
 
+/// EDF+ of two channels at 1000 Hz in uV, as many whole seconds of [`noise`], with annotations `(start_s, duration_s, text)`.
+fn write_edf(path: &Path, seed: usize, seconds: usize, annotations: &[(f64, f64, &str)]) {
+    const TEXT_BYTES: usize = 80;
+    let mut bytes = format!("{:<184}{:<8}{:<44}{seconds:<8}{:<8}{:<4}", 0, 1024, "EDF+C", 1, 3).into_bytes();
+    for (values, width) in [
+        (["EMG 1", "EMG 2", "EDF Annotations"], 16),
+        ([""; 3], 80),
+        (["uV", "uV", ""], 8),
+        (["-32768"; 3], 8),
+        (["32767"; 3], 8),
+        (["-32768"; 3], 8),
+        (["32767"; 3], 8),
+        ([""; 3], 80),
+        (["1000", "1000", "40"], 8),
+        ([""; 3], 32),
+    ] {
+        bytes.extend(values.map(|value| format!("{value:<width$}")).concat().into_bytes());
+    }
+    let samples: Vec<[i32; 2]> = noise(seed, seconds * 1000).collect();
+    for (second, samples) in samples.chunks(1000).enumerate() {
+        for channel in 0..2 {
+            bytes.extend(samples.iter().flat_map(|sample| (sample[channel] as i16).to_le_bytes()));
+        }
+        let mut text = format!("+{second}\x14\x14\0");
+        for (start_s, duration_s, gesture) in
+            annotations.iter().filter(|(start_s, ..)| *start_s as usize == second)
+        {
+            text += &format!("+{start_s}\x15{duration_s}\x14{gesture}\x14\0");
+        }
+        bytes.extend(text.as_bytes());
+        bytes.resize(bytes.len() + TEXT_BYTES - text.len(), 0);
+    }
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn annotations_say_what_labels_would() {
+    let temporary = tempfile::tempdir().unwrap();
+    let (own, tables, named) =
+        (temporary.path().join("own"), temporary.path().join("tables"), temporary.path().join("named"));
+    let annotations =
+        [(0.5, 1.5, "rest"), (2.25, 1.25, "Grip"), (4.0, 1.0, "extension"), (4.5, 0.0, "good one")];
+    write_edf(&own.join("all/sub-anna_ses-1_task-grasp_emg.edf"), 1, 5, &annotations);
+    write_edf(&own.join("ben/later.edf"), 2, 5, &annotations);
+    write_edf(&own.join("ben/nothing.edf"), 2, 5, &[]);
+    let labels = |file: &str, person: &str, session: &str| {
+        ["rest,500,2000", "grip,2250,3500", "extension,4000,5000"]
+            .map(|trial| format!("{file},{person},{session},0,{trial}\n"))
+            .concat()
+    };
+    let header = "file,person,session,repetition,gesture,start_sample,end_sample\n";
+    for (folder, ending) in [(&tables, "csv"), (&named, "edf")] {
+        let lines = labels(&format!("a.{ending}"), "anna", "1") + &labels(&format!("b.{ending}"), "ben", "1");
+        fs::create_dir_all(folder).unwrap();
+        fs::write(folder.join("labels.csv"), header.to_owned() + &lines).unwrap();
+    }
+    for (name, seed) in [("a", 1), ("b", 2)] {
+        write_table(&tables.join(format!("{name}.csv")), seed, 5000);
+        write_edf(&named.join(format!("{name}.edf")), seed, 5, &[(0.0, 5.0, "ulnar")]);
+    }
+    let built = |folder: &Path, recording_rate_hz| {
+        let settings = DatasetSettings { recording_rate_hz, ..settings() };
+        let out = folder.with_extension("out");
+        let manifest = build(&settings, &BuildSettings::default(), folder, &out).unwrap();
+        let stored = StoredDataset::open(&out).unwrap();
+        let windows: Vec<f32> = (0..stored.len()).flat_map(|window| stored.window(window).to_vec()).collect();
+        let trials: Vec<_> = manifest
+            .recordings
+            .iter()
+            .map(|trial| (trial.person, trial.gesture, trial.first_sample, trial.samples, trial.windows))
+            .collect();
+        (manifest, windows, trials)
+    };
+    let (manifest, windows, trials) = built(&own, None);
+    assert_eq!(trials.len(), 6);
+    let (_, table_windows, table_trials) = built(&tables, Some(1000.0));
+    assert_eq!(trials, table_trials);
+    assert!(windows == table_windows, "windows of the annotations differ from those of the labels");
+    // Where there are labels, these count.
+    let (_, named_windows, named_trials) = built(&named, None);
+    assert!(named_windows == windows && named_trials == trials);
+    assert_eq!(manifest.recordings[0].session, "ses-1_task-grasp_emg");
+    assert_eq!(manifest.skipped.len(), 1, "{:?}", manifest.skipped);
+    assert!(manifest.skipped[0].reason.contains("no annotation or marker in it names a gesture"));
+    let unit = |folder: &Path| dataset::list(&settings(), &[folder.to_owned()]).unwrap().unit;
+    assert_eq!([unit(&own), unit(&named)], ["uV", "uV"]);
+    let other_rate = DatasetSettings { recording_rate_hz: Some(2000.0), ..settings() };
+    let message =
+        build(&other_rate, &BuildSettings::default(), &own.join("all"), &temporary.path().join("x"))
+            .unwrap_err()
+            .to_string();
+    assert!(message.contains("was sampled at 1000 Hz, but sample_rate_hz = 2000"), "{message}");
+}
+
 #[test]
 fn a_trial_too_long_for_memory_is_listed_and_the_rest_is_used() {
     let temporary = tempfile::tempdir().unwrap();
@@ -898,9 +993,8 @@ fn the_published_three_dc_is_read_without_the_movements_of_the_armband() {
     assert_eq!((found.layout, found.recordings.len()), (Layout::ThreeDc, 8));
     assert!(found.recordings.iter().all(|recording| recording.path.ends_with("EMG")));
     let imu = folder.join("Participant1/test/IMU");
-    let reason = "it holds no EMG and is passed over; so are 3 other folders like it";
-    let kind = SkippedKind::OtherFile;
-    assert_eq!(found.skipped, [SkippedEntry { path: imu.clone(), kind, reason: reason.to_owned() }]);
+    assert_eq!(found.skipped.len(), 4, "{:?}", found.skipped);
+    assert_eq!((&found.skipped[0].path, found.skipped[0].kind), (&imu, SkippedKind::OtherFile));
     let message = dataset::list(&settings(), &[imu]).unwrap_err().to_string();
     assert!(message.contains("no recordings found (") && message.contains("it holds no EMG"), "{message}");
 }
@@ -918,18 +1012,18 @@ fn links_to_folders_are_followed_once_and_never_in_a_circle() {
     let linked = temporary.path().join("linked");
     fs::create_dir(&linked).unwrap();
     symlink(&person, linked.join("Participant1")).unwrap();
-    assert_eq!(recordings(&linked), (4, 1));
+    assert_eq!(recordings(&linked), (4, 2));
     // The same folder again by another name, and the way back up.
     symlink(&person, linked.join("again")).unwrap();
     symlink(&linked, linked.join("up")).unwrap();
     symlink("nowhere", linked.join("dangling")).unwrap();
-    assert_eq!(recordings(&linked), (4, 1));
+    assert_eq!(recordings(&linked), (4, 2));
     // A name that does not say whose recordings they are.
     let renamed = temporary.path().join("renamed");
     fs::create_dir(&renamed).unwrap();
     symlink(&person, renamed.join("first")).unwrap();
-    assert_eq!(recordings(&renamed), (4, 1));
-    assert_eq!(recordings(&renamed.join("first")), (4, 1));
+    assert_eq!(recordings(&renamed), (4, 2));
+    assert_eq!(recordings(&renamed.join("first")), (4, 2));
 }
 
 #[test]

@@ -21,6 +21,8 @@ pub struct Summary {
     pub channels: Vec<String>,
     /// The files in order, with their cues.
     pub cues: Vec<CueSpan>,
+    /// Unit of the samples in the file's words; empty if it does not say.
+    pub unit: String,
     /// What its user should know.
     pub notices: Vec<Notice>,
 }
@@ -61,6 +63,7 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         duration_s: samples as f64 / sample_rate_hz,
         file_channels: source.file_channels(),
         channels: source.chosen(),
+        unit: source.unit().to_owned(),
         cues,
         notices: source.notices().to_vec(),
     })

@@ -45,6 +45,43 @@ pub enum Notice {
         /// Whole lines of samples before it.
         lines: u64,
     },
+    /// A file was not ended by whoever wrote it.
+    CutOff {
+        /// The file.
+        file: PathBuf,
+        /// What it holds.
+        read: String,
+    },
+    /// Parts of a file could not be understood.
+    PartsDamaged {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Channels of a file that are not read with the others.
+    OtherRates {
+        /// The file.
+        file: PathBuf,
+        /// The channels.
+        channels: Vec<String>,
+        /// Rate of those that are read, in Hz.
+        sample_rate_hz: f64,
+    },
+    /// The time stamps of a file contradict its rate.
+    OtherRateFound {
+        /// The file.
+        file: PathBuf,
+        /// The rate that it states, in Hz.
+        stated_hz: f64,
+        /// The rate of its time stamps, in Hz.
+        found_hz: f64,
+    },
+    /// Samples that are no finite number.
+    SamplesMissing {
+        /// The file.
+        file: PathBuf,
+        /// How many.
+        samples: u64,
+    },
     /// No ratio of small numbers leads from the rate of the recording to that of the session.
     RateApproximated {
         /// Rate of the recording.
@@ -72,6 +109,30 @@ impl fmt::Display for Notice {
             Notice::CutShort { file, lines } => write!(
                 formatter,
                 "{}: the last line is cut short and was left out; {lines} lines of samples before it were read",
+                file.display()
+            ),
+            Notice::CutOff { file, read } => write!(
+                formatter,
+                "{}: the file was cut off or not closed; what it holds was read: {read}",
+                file.display()
+            ),
+            Notice::PartsDamaged { file } => {
+                write!(formatter, "{}: parts of the file are damaged and were passed over", file.display())
+            }
+            Notice::OtherRates { file, channels, sample_rate_hz } => write!(
+                formatter,
+                "{}: passed over because their rate is not {sample_rate_hz:.3} Hz: {}",
+                file.display(),
+                channels.join(", ")
+            ),
+            Notice::OtherRateFound { file, stated_hz, found_hz } => write!(
+                formatter,
+                "{}: it says {stated_hz} Hz, but its time stamps say {found_hz:.3} Hz, which is taken",
+                file.display()
+            ),
+            Notice::SamplesMissing { file, samples } => write!(
+                formatter,
+                "{}: {samples} samples are no finite number in one of the channels and are taken as missing",
                 file.display()
             ),
             Notice::RateApproximated { from_hz, to_hz, up, down, error_ppm } => write!(

@@ -9,6 +9,7 @@ use crate::error::RecordingError;
 use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
+use crate::signals::{Signals, is_signals};
 use crate::table::{Channel, Table};
 use crate::three_dc;
 
@@ -62,7 +63,20 @@ enum Samples {
     /// In a text file, the one of the current segment.
     Table { table: Table, text: Text },
     /// In memory: the chosen channels, all of the same length.
-    Columns(Vec<Vec<f32>>),
+    Columns(Columns),
+}
+
+/// Channels that have been loaded.
+#[derive(Debug)]
+pub(crate) struct Columns {
+    /// The chosen ones.
+    pub(crate) samples: Vec<Vec<f32>>,
+    /// Their numbers in the file.
+    pub(crate) chosen: Vec<usize>,
+    /// All channels of the file by name, or by number from 0.
+    pub(crate) names: Vec<String>,
+    /// Unit of the samples; empty if it is not known.
+    pub(crate) unit: String,
 }
 
 /// The text of a table that is read: of a recording that Tendon made, whole lines only.
@@ -102,12 +116,19 @@ impl RecordingSource {
     /// |---|---|
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
+    /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
     /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at `settings.sample_rate_hz`, or at the rate that a `session.toml` of Tendon beside it states |
     ///
     /// # Errors
     /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
     /// wrong further on shows when it is read: [`check()`](crate::check()) reads all of it.
     pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
+        if is_signals(path) && !path.is_dir() {
+            if settings.repetition.is_some() {
+                return Err(RecordingError::RepetitionOfFile { file: path.to_owned() });
+            }
+            return RecordingSource::of_signals(path, None, &settings.channels, settings.sample_rate_hz);
+        }
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
         let known_hz = match segments[0].repetition {
@@ -138,14 +159,44 @@ impl RecordingSource {
         Ok(RecordingSource::of(samples, channels, segments, notices, sample_rate_hz))
     }
 
+    /// Opens the file at `path`, which describes itself (see [`is_signals`]), divided by its own cues, or as `segments` of it say.
+    /// `given_hz` is the rate the user says, if any: it serves as a check.
+    ///
+    /// # Errors
+    /// When the file cannot be read, lacks a channel, or has another rate than `given_hz`.
+    pub fn of_signals(
+        path: &Path,
+        segments: Option<Vec<Segment>>,
+        channels: &[Channel],
+        given_hz: Option<f64>,
+    ) -> Result<RecordingSource, RecordingError> {
+        /// So much the rates of one amplifier's sheet and of its files may differ.
+        const TOLERANCE: f64 = 0.01;
+        let signals = Signals::read(path, channels)?;
+        let actual_hz = signals.sample_rate_hz;
+        let fits = |given_hz: &f64| (1.0 - TOLERANCE..=1.0 + TOLERANCE).contains(&(given_hz / actual_hz));
+        if let Some(given_hz) = given_hz.filter(|given_hz| !fits(given_hz)) {
+            return Err(RecordingError::SampleRateDiffers { path: path.to_owned(), actual_hz, given_hz });
+        }
+        let segments = match segments {
+            Some(segments) => signals.divide(segments),
+            None => signals.segments(path),
+        };
+        let Signals { columns: samples, chosen, names, unit, notices, .. } = signals;
+        let columns = Columns { samples, chosen, names, unit };
+        let mut source = RecordingSource::of_columns(columns, segments, actual_hz);
+        source.notices = notices;
+        Ok(source)
+    }
+
     /// A recording that has been loaded: its channels, all of the same length, which are one file's that
     /// `segments`, at least one, divide.
     pub(crate) fn of_columns(
-        columns: Vec<Vec<f32>>,
+        columns: Columns,
         segments: Vec<Segment>,
         sample_rate_hz: f64,
     ) -> RecordingSource {
-        let channels = columns.len();
+        let channels = columns.samples.len();
         let samples = Samples::Columns(columns);
         RecordingSource::of(samples, channels, segments, Vec::new(), sample_rate_hz)
     }
@@ -194,7 +245,26 @@ impl RecordingSource {
     pub fn file_channels(&self) -> usize {
         match &self.samples {
             Samples::Table { table, .. } => table.columns(),
-            Samples::Columns(columns) => columns.len(),
+            Samples::Columns(columns) => columns.names.len(),
+        }
+    }
+
+    /// All columns of the current file, chosen or not: by name where it gives one, else by number from 0.
+    pub fn file_names(&self) -> Vec<String> {
+        match &self.samples {
+            Samples::Table { table, .. } if table.names().is_empty() => {
+                (0..table.columns()).map(|column| column.to_string()).collect()
+            }
+            Samples::Table { table, .. } => table.names().to_vec(),
+            Samples::Columns(columns) => columns.names.clone(),
+        }
+    }
+
+    /// Unit of the samples in the file's words; empty if the file does not say.
+    pub fn unit(&self) -> &str {
+        match &self.samples {
+            Samples::Table { .. } => "",
+            Samples::Columns(columns) => &columns.unit,
         }
     }
 
@@ -202,7 +272,9 @@ impl RecordingSource {
     pub fn chosen(&self) -> Vec<String> {
         match &self.samples {
             Samples::Table { table, .. } => table.chosen(),
-            Samples::Columns(columns) => (0..columns.len()).map(|column| column.to_string()).collect(),
+            Samples::Columns(Columns { chosen, names, .. }) => {
+                chosen.iter().map(|number| names[*number].clone()).collect()
+            }
         }
     }
 
@@ -267,7 +339,7 @@ impl RecordingSource {
                     }
                     text.file.release_before(table.position());
                 }
-                Samples::Columns(columns) => {
+                Samples::Columns(Columns { samples: columns, .. }) => {
                     let position = self.position as usize;
                     let left = columns.first().map_or(0, |column| column.len() - position);
                     for (frame, index) in wanted.zip(position..position + left) {

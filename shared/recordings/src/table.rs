@@ -21,10 +21,10 @@ mod counts;
 mod problem;
 
 pub use channel::Channel;
+pub(crate) use channel::places;
 pub use problem::{TableError, TableProblem};
 
 use cells::{Cells, Line, Separator, excerpt, is_missing_sample, is_text, line_at, sample, text_start};
-use channel::places;
 use problem::error_at;
 
 /// Longest first line, in bytes. What has no newline for so long is no table, and a file may be very large.
