@@ -15,30 +15,29 @@ use tendon_recordings::{Channel, RecordedSession};
 /// Of the 3DC armband, those that come nearest to the places of the paper's electrodes.
 const DEFAULT: [usize; 4] = [0, 3, 5, 8];
 
-/// The channels `given`, or else those that the recordings at or below `paths` are taken to have. The channels of `settings` do
+/// The channels `given`, by the names that the recordings at or below `paths` give them, or else those that the recordings at or below `paths` are taken to have. The channels of `settings` do
 /// not matter.
 ///
 /// # Errors
 ///
 /// The recordings cannot be listed, or have too few channels and too many to choose among them.
 pub fn channels_or_default(
-    given: &[usize],
+    given: &[Channel],
     settings: &DatasetSettings,
     paths: &[PathBuf],
 ) -> anyhow::Result<Vec<Channel>> {
     if !given.is_empty() {
-        return Ok(given.iter().copied().map(Channel::Index).collect());
+        return named_by_recordings(given, settings, paths);
     }
-    let default = || DEFAULT.map(Channel::Index).to_vec();
     let found = list(settings, paths)?;
     if found.layout != Layout::Labelled {
-        return Ok(default());
+        return Ok(of_three_dc());
     }
     // What cannot be read is said when it is used.
     let readable =
         |recording| Some((recording, tendon_dataset::Recording::file_channels(recording, settings).ok()?));
     let Some((recording, channels)) = found.recordings.iter().find_map(readable) else {
-        return Ok(default());
+        return Ok(of_three_dc());
     };
     if channels.len() <= DEFAULT.len() || RecordedSession::beside(&recording.path)?.is_some() {
         return Ok(channels);
@@ -50,15 +49,17 @@ pub fn channels_or_default(
         channels.len(),
         listed(&channels)
     );
-    Ok(default())
+    Ok(of_three_dc())
 }
 
-/// The channels `given`, by the names that the recordings at or below `paths` give them.
-///
-/// # Errors
-///
-/// The recordings cannot be listed.
-pub fn named_by_recordings(
+/// The channels of 3DC that are taken where nobody says which.
+pub fn of_three_dc() -> Vec<Channel> {
+    DEFAULT.map(Channel::Index).to_vec()
+}
+
+/// The channels `given`, by the names that the recordings at or below `paths` give them: a recording in which the columns lie
+/// otherwise is then read rightly.
+fn named_by_recordings(
     given: &[Channel],
     settings: &DatasetSettings,
     paths: &[PathBuf],
@@ -93,8 +94,9 @@ mod tests {
     }
 
     fn channels(folder: &Path, given: &[usize]) -> Result<Vec<Channel>, String> {
+        let given: Vec<Channel> = given.iter().copied().map(Channel::Index).collect();
         let settings = DatasetSettings { recording_rate_hz: Some(1000.0), ..DatasetSettings::default() };
-        channels_or_default(given, &settings, &[folder.to_owned()]).map_err(|error| error.to_string())
+        channels_or_default(&given, &settings, &[folder.to_owned()]).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -105,14 +107,14 @@ mod tests {
             channels(folder.path(), &[]).unwrap(),
             ["flexor", "extensor", "thumb", "ulna"].map(Channel::from)
         );
-        assert_eq!(channels(folder.path(), &[2, 0]).unwrap(), [2, 0].map(Channel::from));
+        assert_eq!(channels(folder.path(), &[2, 0]).unwrap(), ["thumb", "flexor"].map(Channel::from));
         table(folder.path(), "a,b,c,d,e,f");
         let refused = channels(folder.path(), &[]).unwrap_err();
         assert!(
             refused.contains("has 6 channels (a, b, c, d, e, f)") && refused.contains("--channels 0,1,2,3"),
             "{refused}"
         );
-        assert_eq!(channels(folder.path(), &[5]).unwrap(), [Channel::Index(5)]);
+        assert_eq!(channels(folder.path(), &[5]).unwrap(), [Channel::from("f")]);
         table(folder.path(), "a,b,c,d,e,f,g,h,i");
         assert_eq!(channels(folder.path(), &[]).unwrap(), [0, 3, 5, 8].map(Channel::from));
     }
