@@ -10,8 +10,8 @@
 //! + offsets  ────────────        of another clock, as a straight line that outliers do not bend
 //! ```
 //! One stream is read: that of the channel `STREAM: CHANNEL` chosen first, else the only one of type EMG, or the only one of EEG or
-//! EXG, or the only one with a rate. Markers that name gestures are cues. Layout: [the XDF
-//! specification](https://github.com/sccn/xdf/wiki/Specifications).
+//! EXG, or the only one with a rate. Texts that name gestures, of streams of the type Markers, Events or Stimuli, are cues.
+//! Layout: [the XDF specification](https://github.com/sccn/xdf/wiki/Specifications).
 
 mod chunks;
 mod clock;
@@ -65,7 +65,7 @@ pub fn read(path: &Path, bytes: &[u8], channels: &[Channel]) -> Result<Signals, 
     let mut cues: Vec<Cue> = contents
         .streams
         .iter()
-        .filter(|markers| markers.is_text())
+        .filter(|stream| stream.is_of_markers())
         .flat_map(|markers| cues(markers, &contents, &stretches, stamps_s.len() as u64))
         .collect();
     cues.sort_by_key(|cue| cue.start_sample);

@@ -114,6 +114,12 @@ impl Stream {
         self.format == Format::Text
     }
 
+    /// Whether its texts say what happens. Others may be results, such as decisions.
+    pub(super) fn is_of_markers(&self) -> bool {
+        let content_type = self.content_type.to_ascii_lowercase();
+        self.is_text() && ["marker", "event", "stim"].iter().any(|kind| content_type.starts_with(kind))
+    }
+
     /// The channel that `STREAM: CHANNEL` means, if it is of this stream.
     pub(super) fn own_channel<'a>(&self, name: &'a str) -> Option<&'a str> {
         name.strip_prefix(self.name.as_str())?.strip_prefix(": ").filter(|_| !self.name.is_empty())
