@@ -36,5 +36,5 @@ pub use error::RecordingError;
 pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, SimulatedFrom};
 pub use replay::{ReplayBlock, ReplayStream};
 pub use segment::{Notice, Segment, SkippedEntry};
-pub use source::{Frame, RecordingSettings, RecordingSource};
-pub use table::Channel;
+pub use source::{Frame, RecordingSettings, RecordingSource, first_muscles, muscles};
+pub use table::{Channel, ColumnKind};
