@@ -180,7 +180,8 @@ fn the_recipe_of_the_models_page_works_on_3dc_as_it_is_downloaded() {
     std::os::unix::fs::symlink(elsewhere.path().join("Participant22"), data.join("Participant22")).unwrap();
     let ended = build.end();
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
-    assert!(ended.output.contains("windows of 4 people, 12 recordings; 1 left out"), "{ended:#?}");
+    assert!(ended.output.contains("windows of 4 people, 12 recordings"), "{ended:#?}");
+    assert!(ended.output.contains("4 files that are no recordings"), "{ended:#?}");
 }
 
 #[test]
@@ -200,6 +201,8 @@ fn a_data_set_is_cut_with_the_filter_of_the_configuration() {
     for (options, notch_hz) in cases {
         let out = folder.path().join("windows");
         let build = TendonBuilder::command(&unique_session(), &["dataset", "build", "--channels", "0,1,2,3"]);
+        // A finished data set is replaced when that is asked for.
+        let build = if out.exists() { build.args(&["--force"]) } else { build };
         let ended = build.args(options).arg("--out").arg(&out).arg(&recordings).end();
         assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
         let manifest = std::fs::read_to_string(out.join("manifest.json")).unwrap();
@@ -224,6 +227,42 @@ fn a_data_set_is_cut_with_the_filter_of_the_configuration() {
         .arg(&out)
         .end()
         .assert_failed(2, &["--channels is for recordings", "leave --channels out"]);
+}
+
+#[test]
+fn a_build_that_is_killed_leaves_the_old_data_set_or_the_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = write_recording(folder.path());
+    let out = folder.path().join("windows");
+    let build = |increment: &str, force: &[&str]| {
+        let mut build = std::process::Command::new(program("tendon"));
+        build.args(["dataset", "build", "--channels", "0,1,2,3", "--increment-samples", increment]);
+        build.args(force).arg("--out").arg(&out).arg(&recording);
+        build.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
+        build
+    };
+    let windows = || {
+        let manifest = std::fs::read_to_string(out.join("manifest.json")).unwrap();
+        let manifest: serde_json::Value = serde_json::from_str(&manifest).unwrap();
+        let windows = manifest["windows"].as_u64().unwrap();
+        // Header, then one byte a window.
+        assert_eq!(std::fs::metadata(out.join("labels.npy")).unwrap().len(), 128 + windows);
+        windows
+    };
+    let start = std::time::Instant::now();
+    assert!(build("150", &[]).status().unwrap().success());
+    let (whole, old) = (start.elapsed(), windows());
+    for step in 0..20 {
+        let mut killed = build("75", &["--force"]).spawn().unwrap();
+        std::thread::sleep(whole * step / 16);
+        killed.kill().unwrap();
+        killed.wait().unwrap();
+        let found = windows();
+        assert!(found == old || found > old * 3 / 2, "{found} windows after step {step}, {old} before");
+    }
+    assert!(build("75", &["--force"]).status().unwrap().success());
+    assert!(windows() > old * 3 / 2);
+    assert!(!folder.path().join("windows.unfinished").exists());
 }
 
 /// Somebody whom no model that comes with Tendon was trained on.
@@ -432,6 +471,9 @@ fn experiments_report_on_the_models_that_are_there() {
     write_three_dc(&recordings.join("Participant1/train/EMG"));
     let command = TendonBuilder::command(&unique_session(), &["experiments", "--no-training", "--no-live"]);
     let command = command.args(&["--three-dc-test-people", "1", "--three-dc"]).arg(&recordings);
+    command.arg("--out").arg(&out).end().assert_failed(2, &["holds a finished data set", "--force"]);
+    let command = TendonBuilder::command(&unique_session(), &["experiments", "--no-training", "--no-live"]);
+    let command = command.args(&["--force", "--three-dc-test-people", "1", "--three-dc"]).arg(&recordings);
     let ended = command.arg("--out").arg(&out).end();
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
     let report = std::fs::read_to_string(out.join("report.md")).unwrap();

@@ -23,7 +23,7 @@ def source(manifest: dict) -> tuple[str, str, str]:
         return THREE_DC, "ADC counts", THREE_DC_CREDIT
     if names and all(name.endswith(".mat") for name in names):
         return OZDEMIR, "mV", OZDEMIR_CREDIT
-    return OWN, OWN_UNIT, OWN_CREDIT
+    return OWN, manifest.get("unit") or OWN_UNIT, OWN_CREDIT
 
 
 # Test accuracy in the paper, by network and number of classes; of the raw signal.

@@ -2,7 +2,7 @@
 
     windows.npy    float32 [n, channels, samples]     splits.npy      uint8  [n]  0 training, 1 validation, 2 test
     labels.npy     uint8   [n]  the gesture's number  recordings.npy  uint32 [n]  the window's recording
-    people.npy     uint16  [n]                        manifest.json   settings; sums of each gesture's training samples
+    people.npy     uint16  [n]                        manifest.json   settings, classes, sums of each gesture's training samples
 """
 
 import json
@@ -51,6 +51,8 @@ class Dataset:
         self.settings["filter"] = self.settings["filter"] or PAPER_FILTER
         self.windows = np.load(folder / "windows.npy", mmap_mode="r")
         self.people = np.load(folder / "people.npy")
+        if self.manifest.get("classes") not in (None, GESTURES):
+            raise SystemExit(f"{folder}: its classes are {self.manifest['classes']}, not {GESTURES}: use the train.py of its version")
         self.sequence_windows = sequence_windows
         splits = np.load(folder / "splits.npy")
         recordings = np.load(folder / "recordings.npy")
@@ -79,6 +81,11 @@ class Dataset:
     def who(self, number: int) -> str:
         """The person of this number in people.npy: their name, if they have one, or else the number."""
         return self.manifest.get("named_people", {}).get(str(number), str(number))
+
+    @property
+    def channel_names(self) -> list[str]:
+        """Names of the channels in their order, numbers where the recordings give no names."""
+        return self.manifest.get("channel_names") or [str(channel) for channel in self.settings["channels"]]
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -12,7 +12,8 @@ are never seen in training; with `--test-sessions`, a session of people that is 
 (`dataset build --input envelope`) or an LSTM can be evaluated, but not run live.
 
 Beside OUT this writes the model card (OUT with the ending .md) and prints the same numbers. An interrupted training
-continues where it was when the same command is given again (OUT with the ending .checkpoint).
+continues where it was when the same command is given again (OUT with the ending .checkpoint). A model that stands at OUT
+is replaced with --force only, and only once the new one is complete.
 
 --smoke trains a tiny model on generated windows to check that everything works: training, resuming after an
 interruption, export, parity with ONNX Runtime. It keeps nothing.
@@ -168,7 +169,7 @@ def write_smoke_dataset(folder: Path) -> None:
         own = windows[(labels == label) & (splits == 0)].astype(np.float64)
         sums = {"sum": own.sum(axis=(0, 2)).tolist(), "sum_of_squares": (own**2).sum(axis=(0, 2)).tolist()}
         per_gesture[name] = {"windows": len(own)} | sums
-    manifest = {"settings": settings, "training_statistics": {"per_gesture": per_gesture}}
+    manifest = {"settings": settings, "classes": GESTURES, "training_statistics": {"per_gesture": per_gesture}}
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
@@ -196,6 +197,7 @@ def main() -> None:
     parser.add_argument("--classes", help=f"{sets}, or names of gestures: {','.join(GESTURES[1:3])}")
     parser.add_argument("--network", choices=NETWORKS, default="cnn", help="default: %(default)s")
     parser.add_argument("--out", type=Path, help="the .onnx file to write; its card goes beside it")
+    parser.add_argument("--force", action="store_true", help="replace the model that stands at --out")
     parser.add_argument("--epochs", type=int, default=30, help="default: %(default)s, the paper's")
     parser.add_argument("--seed", type=int, default=0, help="of the initial weights and the order of the windows (default: %(default)s)")
     parser.add_argument("--device", choices=["auto", "cpu", "cuda"], default="auto", help="default: CUDA if available")
@@ -211,6 +213,8 @@ def main() -> None:
         class_names(arguments.classes)
     except ValueError as error:
         parser.error(f"--classes: {error}")
+    if arguments.out.exists() and not arguments.force:
+        parser.error(f"{arguments.out} is there already: add --force to replace it, or choose another file")
     run(arguments)
 
 
@@ -243,7 +247,7 @@ def run(arguments, stop_after: int | None = None) -> float:
         "people trained on": people_trained,
         "held out for test": held_out,
         "sequences of five windows" if dataset.sequence_windows > 1 else "windows": counts,
-        "channels of the recordings": " ".join(map(str, made_with["channels"])),
+        "channels of the recordings": ", ".join(dataset.channel_names),
         "window, increment": f"{samples}, {made_with['windows']['increment_samples']} samples",
         "filter": f"`{json.dumps(made_with['filter'])}`",
         "input": made_with["input"],
@@ -272,8 +276,8 @@ def run(arguments, stop_after: int | None = None) -> float:
             f"epochs {recipe['epochs']}; seed {arguments.seed}"
         ),
     }
-    metadata["tendon.channel_names"] = json.dumps([str(channel) for channel in made_with["channels"]], separators=(",", ":"))
-    unit = source(dataset.manifest)[1]
+    metadata["tendon.channel_names"] = json.dumps(dataset.channel_names, separators=(",", ":"))
+    unit = dataset.manifest.get("unit") or source(dataset.manifest)[1]
     if unit != OWN_UNIT:
         metadata["tendon.unit"] = unit
     if (rest_rms := dataset.rest_rms()) is not None:
@@ -282,12 +286,15 @@ def run(arguments, stop_after: int | None = None) -> float:
     metadata["tendon.data_set"] = dataset.manifest.get("data_set") or "own recordings"
     if split.get("test_sessions"):
         metadata["tendon.held_out_sessions"] = json.dumps(split["test_sessions"])
-    export(model.cpu(), dataset.shape, metadata, arguments.out)
+    partial = arguments.out.with_suffix(".partial.onnx")
+    export(model.cpu(), dataset.shape, metadata, partial)
     sample = dataset.test[:: max(1, len(dataset.test) // 256)]
-    parity = check_parity(model, np.ascontiguousarray(dataset.examples(sample)), arguments.out)
+    parity = check_parity(model, np.ascontiguousarray(dataset.examples(sample)), partial)
     if parity > PARITY_TOLERANCE:
+        partial.unlink()
         raise SystemExit(f"{arguments.out}: differs from PyTorch by {parity:.1e}, more than {PARITY_TOLERANCE:.0e}")
 
+    partial.replace(arguments.out)
     predicted = predict(model, dataset, dataset.test, torch.device("cpu"))
     truth, people = dataset.labels[dataset.test], dataset.people[dataset.test]
     if not arguments.smoke:

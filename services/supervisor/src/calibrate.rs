@@ -9,6 +9,7 @@ mod guided;
 mod round;
 mod update;
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -18,7 +19,7 @@ use clap::Args;
 use serde::Serialize;
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, Recording, list};
-use tendon_evaluation::{PersonWindows, prior_without};
+use tendon_evaluation::{LeftOut, PersonWindows, prior_without};
 use tendon_features::{MethodSettings, Prior};
 use tendon_gesture::Gesture;
 use tendon_identity::{PersonId, list_of};
@@ -27,7 +28,7 @@ use tendon_people::{
     ChannelQuality, ChannelShift, Expected, GestureFit, HeldOut, Made, People, Person, PersonName,
 };
 use tendon_provenance::Provenance;
-use tendon_recordings::{Channel, RecordedSession};
+use tendon_recordings::{Channel, RecordedSession, SkippedKind};
 use tendon_signal::canonical_unit;
 
 use crate::Failure;
@@ -95,7 +96,8 @@ struct Learnt<'a> {
     gestures: &'a [GestureFit],
     channels: &'a [ChannelQuality],
     findings: Vec<String>,
-    skipped: &'a [String],
+    skipped: &'a [LeftOut],
+    skipped_by_kind: BTreeMap<SkippedKind, usize>,
     /// What an update changed; `null` if it is none.
     update: Option<&'a UpdateScores>,
     /// How the check round was recognised; `null` without one.
@@ -153,6 +155,7 @@ fn report(
         channels: &person.channels,
         findings: person.findings.iter().map(ToString::to_string).collect(),
         skipped,
+        skipped_by_kind: SkippedKind::count(skipped.iter().map(|left_out| left_out.kind)),
         update: update.as_ref(),
         check,
         provenance: begun,
@@ -164,7 +167,7 @@ fn report(
 struct Fitted {
     person: Person,
     fit_s: f64,
-    skipped: Vec<String>,
+    skipped: Vec<LeftOut>,
     /// What changed, if the person was there and was updated.
     update: Option<UpdateScores>,
 }
@@ -234,7 +237,7 @@ fn fit(
     let found = list(&settings, selection.paths)?;
     let recordings = of_one_person(options, found.recordings)?;
     let number = recordings[0].person;
-    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let mut skipped: Vec<LeftOut> = found.skipped.iter().map(LeftOut::from).collect();
     let windows = PersonWindows::read(&settings, &recordings, &mut skipped);
     let chosen = windows.chosen(options.session.as_deref(), selection.repetitions);
     let is_wanted = |gesture: Gesture| {
@@ -246,7 +249,7 @@ fn fit(
     ensure!(
         !windows.origins().is_empty(),
         "no recording holds a window that can be used: {}",
-        skipped.first().map_or("there are none with a cue", String::as_str)
+        skipped.first().map_or("there are none with a cue", |first| &first.reason)
     );
     for gesture in selection.gestures {
         let is_there = chosen.iter().any(|&window| windows.origins()[window].gesture == *gesture);
@@ -359,7 +362,7 @@ fn text(options: &Options, learnt: &Learnt, person: &Person) -> String {
     text += &confusion(person);
     text += &channels(&person.channels);
     if !learnt.skipped.is_empty() {
-        text += &format!("{}\n\n", left_out(learnt.skipped, "recordings or trials"));
+        text += &format!("{}\n\n", left_out(learnt.skipped));
     }
     if let Some(CheckScores { before_by, before, after, after_by_gesture }) = learnt.check {
         let _ = write!(text, "check round: {:.1} % of the windows recognised", 100.0 * after);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
 use tendon_config::Config;
-use tendon_dataset::{BuildSettings, DatasetSettings, Manifest, OnsetStatistics, SplitEntry};
+use tendon_dataset::{BuildSettings, DatasetSettings, Manifest, OnsetStatistics, SplitEntry, check_place};
 use tendon_identity::{PersonId, list_of};
 use tendon_output::OutputFolder;
 use tendon_provenance::Provenance;
@@ -16,7 +16,7 @@ use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 use crate::Failure;
 use crate::channels::channels_or_default;
 use crate::options::{Base, WINDOW_KEYS, channel};
-use crate::output::{counted, print, tell};
+use crate::output::{counted, print, summed_up, tell};
 use crate::progress::Progress;
 use crate::provenance::PROGRAM;
 
@@ -32,6 +32,9 @@ pub enum Command {
     /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD; saved with `save -v7`), or files
     ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Files in a folder `filtered` need --filtered.
     ///
+    /// * Your own: files .edf, .bdf or .xdf whose annotations or markers name gestures; of the person that sub-PERSON_….edf or
+    ///   the folder names.
+    ///
     /// * Your own: tables (.csv, .tsv, .txt; one line per sample, one column per channel) and a labels.csv in the same
     ///   folder with the header file,person,session,repetition,gesture,start_sample,end_sample. Needs
     ///   --recording-rate-hz. The session is optional, and so are start and end where the whole file is one trial.
@@ -41,7 +44,7 @@ pub enum Command {
     /// ./tendon.toml, --config and --set. With 50 Hz mains, for instance, --set dsp.filter.notch_hz=50.
     ///
     /// Recordings that cannot be used are left out; manifest.json lists them with the reason. After an interruption, the
-    /// same command continues the build.
+    /// same command continues the build, which lies beside FOLDER with the ending .unfinished.
     #[command(verbatim_doc_comment)]
     Build(BuildOptions),
 }
@@ -52,9 +55,13 @@ pub struct BuildOptions {
     /// Folders with recordings of one layout, or folders above them; single .mat and .csv files, too.
     #[arg(required = true, value_name = "FOLDER")]
     recordings: Vec<PathBuf>,
-    /// Folder for the data set: windows.npy, the arrays with each window's label and origin, and manifest.json.
+    /// Folder for the data set: windows.npy, the arrays with each window's label and origin, and manifest.json. What stands
+    /// there stays until the new one is complete.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
+    /// Replace a finished data set that stands there.
+    #[arg(long)]
+    force: bool,
     /// Channels of the recordings, in the order the windows shall have [default: all of what Tendon recorded and of tables
     /// with at most four, otherwise 0,3,5,8].
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
@@ -191,11 +198,14 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
     // Before everything is read for its hash: what cannot be used is refused at once.
     tendon_dataset::list(&settings, &options.recordings).map_err(Failure::input)?;
     OutputFolder::check(&options.out).map_err(Failure::input)?;
+    check_place(&options.out, options.force).map_err(Failure::input)?;
     let building = BuildSettings {
         test_people: options.test_people.clone(),
         test_sessions: options.test_sessions.clone(),
         seed: options.seed,
         threads: options.threads.map_or(default.threads, usize::from),
+        replaces: options.force,
+        unit: default.unit,
         provenance: provenance(options).map_err(Failure::input)?,
     };
     let mut progress = BuildProgress::default();
@@ -214,13 +224,16 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
 
 fn text(options: &BuildOptions, manifest: &Manifest, duration: Option<Duration>) -> String {
     let mut text = format!(
-        "{}: {} windows of {}, {}; {} left out (manifest.json says why)\n",
+        "{}: {} windows of {}, {}\n",
         options.out.display(),
         manifest.windows,
         counted(manifest.windows_per_person.len(), "person", "people"),
         counted(manifest.recordings.len(), "recording", "recordings"),
-        manifest.skipped.len()
     );
+    if !manifest.skipped.is_empty() {
+        let skipped: Vec<_> = manifest.skipped.iter().map(|skipped| (skipped.kind, skipped)).collect();
+        text += &format!("{}\n", summed_up(&skipped, "manifest.json lists all of it"));
+    }
     text += &format!(
         "\n{:<12}{:>9}{:>12}{:>22}{:>34}\n",
         "gesture", "windows", "recordings", "no onset found", "onset, ms"

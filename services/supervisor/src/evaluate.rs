@@ -196,7 +196,7 @@ fn text(options: &Options, model: &Path, scores: &Scores, trained: Option<&str>)
     }
     text += &format!("\n{}\n", scores.evaluation);
     if !scores.skipped.is_empty() {
-        text += &format!("{}\n", left_out(&scores.skipped, "recordings or trials"));
+        text += &format!("{}\n", left_out(&scores.skipped));
     }
     text +=
         &format!("{:.1} s in all, {:.0} times faster than real time", scores.duration_s, scores.x_real_time);

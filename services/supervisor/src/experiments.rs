@@ -57,6 +57,9 @@ pub struct Options {
     /// Do not train: report on the models that exist.
     #[arg(long)]
     no_training: bool,
+    /// Replace data sets and models of an earlier run with other recordings, people or settings.
+    #[arg(long)]
+    force: bool,
     /// Skip the live sessions, which take about three minutes.
     #[arg(long)]
     no_live: bool,
@@ -78,6 +81,7 @@ impl Options {
             epochs: self.epochs,
             jobs: self.jobs.unwrap_or_else(cores),
             trains: !self.no_training,
+            replaces: self.force,
             runs_live: !self.no_live,
             runtime_library: tendon_classifier::runtime_library(self.runtime_library.as_deref())?,
             provenance: self.provenance()?,

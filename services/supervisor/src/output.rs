@@ -1,12 +1,14 @@
 //! What commands print, on standard output, which may be closed or full, and on standard error; and the files they are
 //! asked to write.
 
-use std::fmt::Display;
+use std::fmt::{self, Display, Write as _};
 use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::Context;
+use tendon_evaluation::LeftOut;
 use tendon_output::OutputFile;
+use tendon_recordings::SkippedKind;
 
 use crate::Failure;
 
@@ -38,18 +40,23 @@ pub fn tell(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");
 }
 
-/// How many reasons are shown of what was left out.
-const REASONS_SHOWN: usize = 3;
-
-/// What was left out, in a few lines: how many `things`, and why the first ones.
-pub fn left_out(skipped: &[String], things: &str) -> String {
-    let mut lines = vec![format!("{} {things} left out:", skipped.len())];
-    lines.extend(skipped.iter().take(REASONS_SHOWN).map(|skipped| format!("  {skipped}")));
-    let rest = skipped.len().saturating_sub(REASONS_SHOWN);
-    if rest > 0 {
-        lines.push(format!("  … and {rest} more; --json FILE lists them all"));
+/// What was left out, a line for each kind: how much, and the first of it. `details` says where all of it is listed.
+pub fn summed_up<T: fmt::Display>(left_out: &[(SkippedKind, T)], details: &str) -> String {
+    let mut text = format!("left out ({details}):");
+    for (kind, count) in SkippedKind::count(left_out.iter().map(|(kind, _)| *kind)) {
+        let first = left_out.iter().find(|(own, _)| *own == kind).map(|(_, first)| first);
+        let first = first.map_or_else(String::new, ToString::to_string);
+        let such_as = if count == 1 { "" } else { "such as " };
+        let _ = write!(text, "\n  {}: {such_as}{first}", kind.counted(count));
     }
-    lines.join("\n")
+    text
+}
+
+/// The same of an evaluation, whose JSON lists it all.
+pub fn left_out(left_out: &[LeftOut]) -> String {
+    let left_out: Vec<(SkippedKind, &LeftOut)> =
+        left_out.iter().map(|left_out| (left_out.kind, left_out)).collect();
+    summed_up(&left_out, "--json FILE lists all of it")
 }
 
 /// A number of things: `1 person`, `2 people`.
@@ -85,19 +92,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_left_out_is_told_in_a_few_lines() {
-        let skipped: Vec<String> = (0..200).map(|number| format!("{number}.csv: empty")).collect();
-        let text = left_out(&skipped, "recordings");
+    fn what_was_left_out_is_told_in_a_line_for_each_kind() {
+        let entry = |kind: SkippedKind, reason: &str| LeftOut { kind, reason: reason.to_owned() };
+        let mut skipped = vec![entry(SkippedKind::NoLabel, "a.csv: labels.csv has no label for it")];
+        skipped.extend((0..120).map(|line| entry(SkippedKind::OtherGesture, &format!("b.csv: line {line}"))));
+        let text = left_out(&skipped);
         assert_eq!(
             text.lines().collect::<Vec<_>>(),
             [
-                "200 recordings left out:",
-                "  0.csv: empty",
-                "  1.csv: empty",
-                "  2.csv: empty",
-                "  … and 197 more; --json FILE lists them all"
+                "left out (--json FILE lists all of it):",
+                "  120 trials of other gestures: such as b.csv: line 0",
+                "  1 file without labels: a.csv: labels.csv has no label for it",
             ]
         );
-        assert_eq!(left_out(&skipped[..3], "recordings").lines().count(), 4);
     }
 }

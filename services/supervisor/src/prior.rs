@@ -8,6 +8,7 @@ use tendon_dataset::DatasetSettings;
 use tendon_evaluation::gather_cohort;
 use tendon_features::MethodSettings;
 use tendon_output::check_distinct;
+use tendon_recordings::SkippedKind;
 
 use crate::Failure;
 use crate::channels::channels_or_default;
@@ -69,8 +70,8 @@ pub fn gather(options: &Options) -> Result<(), Failure> {
     }
     let mut text =
         format!("{} people, {} kB in {}", cohort.members().len(), bytes.len() / 1000, options.out.display());
-    for reason in skipped.iter().filter(|reason| reason.starts_with("person ")) {
-        text += &format!("\n{reason}");
+    for person in skipped.iter().filter(|left_out| left_out.kind == SkippedKind::Person) {
+        text += &format!("\n{person}");
     }
     print(text).map_err(Failure::running)
 }

@@ -13,14 +13,15 @@ use tendon_classifier::TrainedOn;
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, Recording, list};
 use tendon_evaluation::{
-    PersonRecordings, StrategyModels, StrategyScores, chosen_people, dataset_settings, score_strategy,
-    with_trials,
+    LeftOut, PersonRecordings, StrategyModels, StrategyScores, chosen_people, dataset_settings,
+    score_strategy, with_trials,
 };
 use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_identity::PersonId;
 use tendon_output::{check_distinct, collect};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_provenance::Provenance;
+use tendon_recordings::SkippedKind;
 
 use crate::Failure;
 use crate::channels::{channels_or_default, listed};
@@ -156,7 +157,9 @@ struct AllScores {
     /// What was scored, in words.
     scored_on: &'static str,
     /// Recordings and people that could not be used, and why.
-    skipped: Vec<String>,
+    skipped: Vec<LeftOut>,
+    /// How much of it there is of each kind.
+    skipped_by_kind: BTreeMap<SkippedKind, usize>,
     /// By name; `null` for what could not be scored.
     strategies: BTreeMap<&'static str, Option<StrategyScores>>,
     provenance: Provenance,
@@ -178,11 +181,11 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     let chosen = chosen_people(&known, &options.people, &trained).map_err(Failure::input)?;
     let recordings: Vec<Recording> =
         found.recordings.into_iter().filter(|recording| chosen.contains(&recording.person)).collect();
-    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let mut skipped: Vec<LeftOut> = found.skipped.iter().map(LeftOut::from).collect();
     let (usable, unusable) = with_trials(&settings, recordings);
     skipped.extend(unusable);
     if usable.is_empty() {
-        let reason = skipped.first().map_or("there is none", String::as_str);
+        let reason = skipped.first().map_or("there is none", |first| &first.reason);
         return Err(Failure::input(anyhow!("no recording could be used: {reason}")));
     }
     let calibrated = match options.strategies() {
@@ -200,6 +203,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         people,
         calibrated_on: calibrated.calibrated_on(),
         scored_on: calibrated.scored_on(),
+        skipped_by_kind: SkippedKind::count(skipped.iter().map(|left_out| left_out.kind)),
         skipped,
         strategies: BTreeMap::new(),
         provenance,
@@ -227,7 +231,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         all.strategies.insert(Strategy::Personal.name(), None);
     }
     if !all.skipped.is_empty() {
-        text += &left_out(&all.skipped, "recordings, trials or people");
+        text += &left_out(&all.skipped);
     }
     // A closed output does not keep the file from being written, nor the other way round.
     let written = collect(json.iter().map(|file| file.write_json(&all))).map_err(Failure::running);

@@ -363,14 +363,14 @@ mod tests {
     fn a_table_without_a_rate_is_refused_in_the_words_of_a_session() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("emg.csv");
-        std::fs::write(&path, "time,flexor,extensor,thumb\n0,1,2,3\n1,2,3,4\n").unwrap();
+        std::fs::write(&path, "time,flexor,extensor,thumb,ulna\n0,1,2,3,4\n1,2,3,4,5\n").unwrap();
         let mut acquisition = AcquisitionSettings::default();
         acquisition.replay.path = Some(path);
         let error = acquisition.open_recording().unwrap_err().to_string();
         assert!(error.contains("--replay-rate-hz 1000, or acquisition.replay.sample_rate_hz"), "{error}");
         acquisition.replay.sample_rate_hz = Some(1000.0);
         let (summary, _) = acquisition.open_recording().unwrap();
-        assert_eq!(summary.channels, ["time", "flexor", "extensor", "thumb"]);
+        assert_eq!(summary.channels, ["flexor", "extensor", "thumb", "ulna"]);
     }
 
     #[test]
@@ -395,12 +395,15 @@ mod tests {
     }
 
     #[test]
-    fn a_table_gives_its_first_columns_and_a_3dc_recording_the_models_channels() {
+    fn a_table_gives_its_first_muscles_and_a_3dc_recording_the_models_channels() {
         let channels = |path: &str| {
             let replay = ReplaySettings { path: Some(path.into()), ..ReplaySettings::default() };
-            replay.recording(4).channels
+            replay.recording(4).unwrap().channels
         };
-        assert_eq!(channels("emg.csv"), [0, 1, 2, 3].map(Channel::Index));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("emg.csv");
+        std::fs::write(&path, "Time,a,b,c,gesture,d\n0,1,2,3,0,5\n").unwrap();
+        assert_eq!(channels(path.to_str().unwrap()), ["a", "b", "c", "d"].map(Channel::from));
         assert_eq!(channels("EMG/3dc_EMG_gesture_0_1.txt"), [0, 3, 5, 8].map(Channel::Index));
     }
 

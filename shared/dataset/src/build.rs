@@ -1,6 +1,5 @@
 //! Builds the data set of many recordings on several threads; continues a build that was interrupted.
 
-use std::fs;
 use std::io;
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
@@ -10,16 +9,17 @@ use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
 use tendon_output::{OutputError, OutputFile};
 use tendon_provenance::Provenance;
-use tendon_recordings::SkippedEntry;
 use tendon_recordings::npy::{Element, MappedArray, NpyWriter};
+use tendon_recordings::{SkippedEntry, SkippedKind};
 use tendon_signal::DesignError;
 
 use crate::cut::{Outcome, trials};
-use crate::files::{LABELS, MANIFEST, PEOPLE, RECORDINGS, REPETITIONS, SPLITS, STARTS, WINDOWS};
-use crate::journal::{self, Earlier, Finished, Journal, JournalError};
+use crate::files::{LABELS, MANIFEST, PEOPLE, PROGRESS, RECORDINGS, REPETITIONS, SPLITS, STARTS, WINDOWS};
+use crate::journal::{Earlier, Finished, Journal, JournalError};
 use crate::listing::{Layout, ListingError, Recordings, list};
 use crate::manifest::{Content, Manifest, named_people};
 use crate::ordered;
+use crate::place::Place;
 use crate::recording::Recording;
 use crate::settings::DatasetSettings;
 use crate::split::{self, Split, SplitError};
@@ -73,16 +73,55 @@ pub enum DatasetError {
         held_out: String,
     },
     /// The build was broken off.
-    #[error("interrupted: run the same command again to continue the build in {}", .out_dir.display())]
+    #[error("interrupted: run the same command again to continue the build in {}", .unfinished.display())]
     Interrupted {
+        /// Folder of the unfinished data set.
+        unfinished: PathBuf,
+    },
+    /// A finished data set stands there, and nobody asked to replace it.
+    #[error(
+        "{} holds a finished data set ({content}): add --force to replace it, or choose another folder",
+        .out_dir.display()
+    )]
+    Finished {
         /// Folder of the data set.
+        out_dir: PathBuf,
+        /// What it holds, in words.
+        content: String,
+    },
+    /// A folder with other things in it.
+    #[error("{} is no part of a data set: give a folder of its own instead of {}", .path.display(), .out_dir.display())]
+    OtherFiles {
+        /// What lies there.
+        path: PathBuf,
+        /// The folder.
         out_dir: PathBuf,
     },
-    /// Another process builds there.
-    #[error("another build is writing to {}: wait for it, or choose another folder", .out_dir.display())]
-    InUse {
-        /// Folder of the data set.
+    /// A path that ends without the name of a folder.
+    #[error("{} cannot be the folder of a data set: name a folder", .out_dir.display())]
+    NoName {
+        /// The path.
         out_dir: PathBuf,
+    },
+    /// The data set is complete, but cannot be put where it shall stand.
+    #[error(
+        "cannot put the finished data set in the place of {} ({reason}): move that away and run the same command again, \
+         which takes what is in {}",
+        .out_dir.display(), .unfinished.display()
+    )]
+    Place {
+        /// Where it shall stand.
+        out_dir: PathBuf,
+        /// Where it is.
+        unfinished: PathBuf,
+        /// What the system says.
+        reason: io::Error,
+    },
+    /// Another process builds there.
+    #[error("another build is writing to {}: wait for it, or choose another folder", .unfinished.display())]
+    InUse {
+        /// Folder of the unfinished data set.
+        unfinished: PathBuf,
     },
     /// A file of the data set that cannot be written.
     #[error("cannot write {}: {reason}; check that there is room and that you may write there", .path.display())]
@@ -124,6 +163,10 @@ pub struct BuildSettings {
     pub seed: u64,
     /// Recordings that are read at a time. The data set does not depend on it.
     pub threads: usize,
+    /// Whether a finished data set that stands there is replaced.
+    pub replaces: bool,
+    /// Unit of the samples where the recordings do not tell it; empty if nobody knows.
+    pub unit: String,
     /// Where the data set comes from, for its manifest.
     pub provenance: Provenance,
 }
@@ -137,6 +180,8 @@ impl Default for BuildSettings {
             test_sessions: Vec::new(),
             seed: 0,
             threads,
+            replaces: false,
+            unit: String::new(),
             provenance: Provenance::default(),
         }
     }
@@ -152,20 +197,22 @@ fn for_networks(outcome: Outcome) -> Outcome {
     let gesture = trial.entry.gesture;
     Outcome::Skipped(SkippedEntry {
         path: trial.entry.file,
+        kind: SkippedKind::OtherGesture,
         reason: format!("sample {}: gesture `{gesture}` is none of {known}", trial.entry.first_sample),
     })
 }
 
 /// Cuts the windows of all recordings that [`list`] finds at or below `paths` and writes the data set to `out_dir`,
-/// which is created. Recordings that cannot be used are left out and listed in the manifest.
+/// which is created. Recordings that cannot be used are left out and listed in the manifest. Until all of it is written, beside
+/// `out_dir`, what stood there stays.
 ///
 /// A build that was interrupted, by `progress` or by the end of the process, goes on where it stopped when it is
 /// begun again with the same settings and recordings; with others, all of it is made anew. The data set is the same
 /// to the byte either way, but for the provenance in its manifest.
 ///
 /// # Errors
-/// When [`list`] gives one, the settings do not fit, nothing is left to train on, `progress` breaks off, or the data
-/// set cannot be written. The manifest is written last: a folder without it holds no complete data set.
+/// When [`list`] gives one, the settings do not fit, nothing is left to train on, `progress` breaks off, the data set cannot be
+/// written, or a finished one stands there and is not to be replaced.
 pub fn build(
     settings: &DatasetSettings,
     building: &BuildSettings,
@@ -174,11 +221,12 @@ pub fn build(
     progress: &mut dyn FnMut(Progress<'_>) -> ControlFlow<()>,
 ) -> Result<Manifest, DatasetError> {
     settings.check()?;
+    let place = Place::check(out_dir, building.replaces)?;
     let found = list(settings, paths)?;
     split::check_people(&building.test_people, found.layout, &found.recordings)?;
     split::check_sessions(&building.test_sessions, &found.recordings)?;
     let total = found.recordings.len();
-    let (mut builder, is_other) = Builder::open(settings, &found, out_dir)?;
+    let (mut builder, is_other) = Builder::open(settings, &found, &place)?;
     let resumed = builder.finished;
     let begun = Progress::Begun { total, resumed, windows: builder.windows.rows(), is_other };
     let mut flow = progress(begun);
@@ -218,7 +266,7 @@ pub fn build(
     }
     result?;
     if flow.is_break() {
-        return Err(DatasetError::Interrupted { out_dir: out_dir.to_owned() });
+        return Err(DatasetError::Interrupted { unfinished: place.unfinished().to_owned() });
     }
     builder.finish(building)
 }
@@ -235,7 +283,9 @@ enum Step {
 struct Builder<'a> {
     settings: &'a DatasetSettings,
     layout: Layout,
-    out_dir: &'a Path,
+    /// Unit of the samples, as far as the recordings tell it.
+    unit: &'a str,
+    place: &'a Place,
     journal: Journal,
     windows: NpyWriter<f32>,
     /// Recordings that are finished.
@@ -250,44 +300,38 @@ struct Builder<'a> {
 }
 
 impl<'a> Builder<'a> {
-    /// Opens the data set in `out_dir` to continue it, or starts a new one; and whether an unfinished build of something
-    /// else was found there.
+    /// Opens the unfinished data set at `place` to continue it, or starts a new one; and whether an unfinished build of
+    /// something else was found there.
     fn open(
         settings: &'a DatasetSettings,
-        found: &Recordings,
-        out_dir: &'a Path,
+        found: &'a Recordings,
+        place: &'a Place,
     ) -> Result<(Builder<'a>, bool), DatasetError> {
-        fs::create_dir_all(out_dir).map_err(write_error(out_dir))?;
-        check_targets(out_dir)?;
+        place.make()?;
+        let folder = place.unfinished();
         let (mut journal, earlier) =
-            Journal::open(out_dir, settings, &found.recordings).map_err(|error| match error {
-                JournalError::InUse => DatasetError::InUse { out_dir: out_dir.to_owned() },
-                JournalError::Io(error) => write_error(&out_dir.join(journal::FILE_NAME))(error),
+            Journal::open(folder, settings, &found.recordings).map_err(|error| match error {
+                JournalError::InUse => DatasetError::InUse { unfinished: folder.to_owned() },
+                JournalError::Io(error) => write_error(&folder.join(PROGRESS))(error),
             })?;
-        let manifest_path = out_dir.join(MANIFEST);
-        match fs::remove_file(&manifest_path) {
-            Err(reason) if reason.kind() != io::ErrorKind::NotFound => {
-                return Err(write_error(&manifest_path)(reason));
-            }
-            _ => {}
-        }
         let is_other = earlier == Earlier::Other;
         let mut earlier = match earlier {
             Earlier::Same(finished) => finished,
             Earlier::None | Earlier::Other => Vec::new(),
         };
-        let windows_path = out_dir.join(WINDOWS);
+        let windows_path = folder.join(WINDOWS);
         let row_shape = [settings.channels.len(), settings.windows.window_samples];
         let blocks: Vec<(u64, u32)> =
             earlier.iter().map(|finished| (finished.windows, finished.checksum)).collect();
         let (windows, whole) =
             NpyWriter::resume(&windows_path, &row_shape, &blocks).map_err(write_error(&windows_path))?;
         earlier.truncate(whole);
-        journal.keep_recordings(whole).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
+        journal.keep_recordings(whole).map_err(write_error(&folder.join(PROGRESS)))?;
         let mut builder = Builder {
             settings,
             layout: found.layout,
-            out_dir,
+            unit: &found.unit,
+            place,
             journal,
             windows,
             finished: 0,
@@ -317,7 +361,8 @@ impl<'a> Builder<'a> {
 
     /// Takes in the next step; `Some` with the recordings finished so far when it ends one.
     fn take(&mut self, step: Step) -> Result<Option<usize>, DatasetError> {
-        let at_windows = |error| write_error(&self.out_dir.join(WINDOWS))(error);
+        let folder = self.place.unfinished();
+        let at_windows = |error| write_error(&folder.join(WINDOWS))(error);
         match step {
             Step::Outcome(Outcome::Skipped(skipped)) => {
                 self.current.skipped.push(skipped);
@@ -341,16 +386,16 @@ impl<'a> Builder<'a> {
             }
         }
         self.current.checksum = self.windows.flush().map_err(at_windows)?;
-        self.journal
-            .push(&self.current)
-            .map_err(|error| write_error(&self.out_dir.join(journal::FILE_NAME))(error))?;
+        self.journal.push(&self.current).map_err(write_error(&folder.join(PROGRESS)))?;
         let finished = std::mem::take(&mut self.current);
         self.append(finished);
         Ok(Some(self.finished))
     }
 
     fn finish(self, building: &BuildSettings) -> Result<Manifest, DatasetError> {
-        let Builder { settings, layout, out_dir, journal, windows, recordings, skipped, notices, .. } = self;
+        let Builder { settings, layout, unit, place, journal, windows, recordings, skipped, notices, .. } =
+            self;
+        let folder = place.unfinished();
         let count = windows.rows();
         if count == 0 {
             let first_reason = match skipped.first() {
@@ -365,33 +410,23 @@ impl<'a> Builder<'a> {
         if split.windows.train == 0 {
             return Err(DatasetError::NothingToTrain { held_out: split.held_out });
         }
-        let windows_path = out_dir.join(WINDOWS);
+        let windows_path = folder.join(WINDOWS);
         windows.finish().map_err(write_error(&windows_path))?;
-        write_arrays(settings, out_dir, &recordings, &splits)?;
+        write_arrays(settings, folder, &recordings, &splits)?;
         let mut stored = MappedArray::open(&windows_path, 2)
             .map_err(|error| write_error(&windows_path)(io::Error::other(error)))?;
         let statistics = split::statistics(&mut stored, &splits, &recordings);
-        let content = Content { layout, windows: count, recordings, skipped, notices };
+        let unit = if unit.is_empty() { &building.unit } else { unit };
+        let content = Content { layout, unit, windows: count, recordings, skipped, notices };
         let manifest = Manifest {
             provenance: building.provenance.clone(),
             ..Manifest::of(settings, content, split, statistics)
         };
-        let manifest_path = out_dir.join(MANIFEST);
-        OutputFile::check(&manifest_path).and_then(|file| file.write_json(&manifest))?;
-        journal.remove(out_dir).map_err(write_error(&out_dir.join(journal::FILE_NAME)))?;
+        OutputFile::check(&folder.join(MANIFEST)).and_then(|file| file.write_json(&manifest))?;
+        place.take()?;
+        // Until here, no other build wrote to the folder.
+        drop(journal);
         Ok(manifest)
-    }
-}
-
-/// Refuses a folder in which something else than a file lies where one of the data set is to be: opening a pipe, for
-/// instance, would wait forever.
-fn check_targets(out_dir: &Path) -> Result<(), DatasetError> {
-    let names =
-        [journal::FILE_NAME, WINDOWS, LABELS, PEOPLE, REPETITIONS, RECORDINGS, STARTS, SPLITS, MANIFEST];
-    let is_other = |path: &PathBuf| path.metadata().is_ok_and(|metadata| !metadata.is_file());
-    match names.map(|name| out_dir.join(name)).into_iter().find(is_other) {
-        Some(path) => Err(DatasetError::NotAFile { path }),
-        None => Ok(()),
     }
 }
 

@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
-use tendon_recordings::{RecordingError, ReplayStream, Segment, SkippedEntry};
+use tendon_recordings::{RecordingError, ReplayStream, Segment, SkippedEntry, SkippedKind};
 use tendon_signal::{DesignError, EmgFilter, Envelope, WindowInput, WindowSettings, find_onset};
 
 use crate::recording::Recording;
@@ -220,29 +220,31 @@ impl Part<'_> {
     fn cut_off(&self, file_samples: u64) -> Outcome {
         let end = self.segment.end_sample.unwrap_or_default();
         let reason = format!("it ends at sample {end}, but the file has only {file_samples}");
-        Outcome::Skipped(SkippedEntry { path: self.segment.file.clone(), reason })
+        let path = self.segment.file.clone();
+        Outcome::Skipped(SkippedEntry { path, kind: SkippedKind::CutOff, reason })
     }
 
-    fn skipped(&self, signal: &Signal, reason: String) -> Outcome {
+    fn skipped(&self, signal: &Signal, kind: SkippedKind, reason: String) -> Outcome {
         let reason = if self.is_divided {
             let end = self.first_sample + signal.samples as u64;
             format!("samples {} to {end}: {reason}", self.first_sample)
         } else {
             reason
         };
-        Outcome::Skipped(SkippedEntry { path: self.segment.file.clone(), reason })
+        Outcome::Skipped(SkippedEntry { path: self.segment.file.clone(), kind, reason })
     }
 
     /// What becomes of the segment, whose filtered samples are `signal`; `None` if it is no trial.
     fn outcome(&self, settings: &DatasetSettings, signal: &Signal) -> Result<Option<Outcome>, DesignError> {
         let Segment { file, repetition: Some(repetition), cue, .. } = self.segment else { return Ok(None) };
         let Some(gesture) = *cue else {
-            return Ok(Some(self.skipped(signal, "its gesture is not one of the six".to_owned())));
+            let reason = "its gesture is not one of the six".to_owned();
+            return Ok(Some(self.skipped(signal, SkippedKind::OtherGesture, reason)));
         };
         if signal.replaced_samples > 0 {
             let reason =
                 format!("{} samples are larger than any amplifier delivers", signal.replaced_samples);
-            return Ok(Some(self.skipped(signal, reason)));
+            return Ok(Some(self.skipped(signal, SkippedKind::Faulty, reason)));
         }
         let channels = settings.channels.len();
         let rate_hz = settings.sample_rate_hz;
@@ -253,7 +255,7 @@ impl Part<'_> {
                 "{:.1} s are too long for a trial, {longest_s:.1} s is the most: divide it into several",
                 samples as f64 / rate_hz
             );
-            return Ok(Some(self.skipped(signal, reason)));
+            return Ok(Some(self.skipped(signal, SkippedKind::TooLong, reason)));
         }
         let content = signal.channels.concat();
         let samples_of_ms = |ms: f64| (ms * 1e-3 * rate_hz).round() as usize;
@@ -269,7 +271,7 @@ impl Part<'_> {
         if left < window_samples {
             let reason =
                 format!("{left} samples after the start of the gesture, a window has {window_samples}");
-            return Ok(Some(self.skipped(signal, reason)));
+            return Ok(Some(self.skipped(signal, SkippedKind::TooShort, reason)));
         }
         let content = match settings.input {
             WindowInput::Raw => content,

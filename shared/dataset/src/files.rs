@@ -8,3 +8,9 @@ pub(crate) const RECORDINGS: &str = "recordings.npy";
 pub(crate) const STARTS: &str = "starts.npy";
 pub(crate) const SPLITS: &str = "splits.npy";
 pub(crate) const MANIFEST: &str = "manifest.json";
+/// What a build has finished so far; gone once the data set is complete.
+pub(crate) const PROGRESS: &str = "progress.jsonl";
+
+/// All of them.
+pub(crate) const ALL: [&str; 9] =
+    [WINDOWS, LABELS, PEOPLE, REPETITIONS, RECORDINGS, STARTS, SPLITS, MANIFEST, PROGRESS];

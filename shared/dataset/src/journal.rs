@@ -8,7 +8,7 @@
 //! The next build of the same data set continues after the last line that is intact and whose windows in
 //! `windows.npy` match their checksum. Everything after it is rebuilt.
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::time::UNIX_EPOCH;
@@ -17,12 +17,10 @@ use serde::{Deserialize, Serialize};
 
 use tendon_recordings::SkippedEntry;
 
+use crate::files::PROGRESS;
 use crate::recording::Recording;
 use crate::settings::DatasetSettings;
 use crate::trial::RecordingEntry;
-
-/// Name of the file.
-pub(crate) const FILE_NAME: &str = "progress.jsonl";
 
 /// Changes when other windows would come from the same recordings and settings.
 const FORMAT: u32 = 1;
@@ -93,7 +91,7 @@ impl Journal {
         settings: &DatasetSettings,
         recordings: &[Recording],
     ) -> Result<(Journal, Earlier), JournalError> {
-        let path = folder.join(FILE_NAME);
+        let path = folder.join(PROGRESS);
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path)?;
         match file.try_lock() {
             Ok(()) => {}
@@ -122,11 +120,6 @@ impl Journal {
         let kept: usize =
             text.split_inclusive(|&byte| byte == b'\n').take(1 + recordings).map(<[u8]>::len).sum();
         self.keep(kept as u64)
-    }
-
-    /// The data set is complete.
-    pub(crate) fn remove(self, folder: &Path) -> io::Result<()> {
-        fs::remove_file(folder.join(FILE_NAME))
     }
 
     fn keep(&mut self, bytes: u64) -> io::Result<()> {

@@ -25,11 +25,12 @@
 //! | `splits.npy` | uint8 `[n]`, what the window is for: a [`Split`] |
 //! | `manifest.json` | [`Manifest`]: settings, counts, and what became of each trial |
 //!
-//! During the build, `progress.jsonl` records which recordings are finished.
+//! A data set is built beside its place, in a folder with the ending `.unfinished`, where `progress.jsonl` records which
+//! recordings are finished.
 //!
 //! ```text
 //! settings ─▶ listing ─▶ recording ─▶ cut ─▶ build ─▶ windows.npy, manifest.json ─▶ stored
-//!                                                └── ordered (threads), journal (interruptions), split (who tests)
+//!                                                └── ordered (threads), journal (interruptions), place, split (who tests)
 //! ```
 #![forbid(unsafe_code)]
 
@@ -40,6 +41,7 @@ mod journal;
 mod listing;
 mod manifest;
 mod ordered;
+mod place;
 mod recording;
 mod settings;
 mod split;
@@ -50,6 +52,7 @@ pub use build::{BuildSettings, DatasetError, Progress, build};
 pub use cut::{Cut, CutWindow, cut};
 pub use listing::{Layout, ListingError, Recordings, list};
 pub use manifest::Manifest;
+pub use place::check_place;
 pub use recording::Recording;
 pub use settings::DatasetSettings;
 pub use split::{

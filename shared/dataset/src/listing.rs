@@ -10,7 +10,11 @@ use std::path::{Path, PathBuf};
 
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
-use tendon_recordings::{RecordedSession, RecordingError, Segment, SkippedEntry, ozdemir, three_dc};
+use tendon_recordings::{
+    Channel, RecordedSession, RecordingError, RecordingSource, Segment, Signals, SkippedEntry, SkippedKind,
+    is_signals, ozdemir, three_dc,
+};
+use tendon_signal::canonical_unit;
 
 use crate::recording::{Content, Recording};
 use crate::settings::DatasetSettings;
@@ -26,7 +30,7 @@ pub enum Layout {
     OzdemirMat,
     /// Ozdemir 2022, a file a trial: `P<person>_C<cycle>_G<gesture>.csv`.
     OzdemirTrials,
-    /// Text tables and a `labels.csv`.
+    /// Your own: text tables and a `labels.csv`, or files with cues inside.
     Labelled,
 }
 
@@ -37,6 +41,15 @@ impl Layout {
         match self {
             Layout::ThreeDc => Some(three_dc::DATA_SET),
             Layout::OzdemirMat | Layout::OzdemirTrials => Some(ozdemir::DATA_SET),
+            Layout::Labelled => None,
+        }
+    }
+
+    /// Unit of the samples of that data set; `None` for your own recordings.
+    fn unit(self) -> Option<&'static str> {
+        match self {
+            Layout::ThreeDc => Some("adc_counts"),
+            Layout::OzdemirMat | Layout::OzdemirTrials => Some("mV"),
             Layout::Labelled => None,
         }
     }
@@ -56,7 +69,7 @@ impl fmt::Display for Layout {
             Layout::ThreeDc => "3DC",
             Layout::OzdemirMat => "Ozdemir 2022 (.mat)",
             Layout::OzdemirTrials => "Ozdemir 2022 (a .csv a trial)",
-            Layout::Labelled => "tables with labels.csv",
+            Layout::Labelled => "recordings with labels",
         })
     }
 }
@@ -70,6 +83,8 @@ pub struct Recordings {
     pub recordings: Vec<Recording>,
     /// What looks like a recording, but cannot be used, and why.
     pub skipped: Vec<SkippedEntry>,
+    /// Unit of the samples in its canonical spelling; empty if the recordings do not tell it.
+    pub unit: String,
 }
 
 /// Lists the recordings at or below `paths`. The layout follows from what is found there:
@@ -79,7 +94,8 @@ pub struct Recordings {
 /// | a folder `ParticipantP/{train,test}/EMG` | 3DC: its files `3dc_EMG_gesture_R_G.txt`, each repetition R joined; the `IMU` folder beside it is passed over |
 /// | files `.mat` | Ozdemir 2022: one a person |
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
-/// | a folder with `labels.csv` | the tables that it names |
+/// | a folder with `labels.csv` | the tables and other files that it names |
+/// | files `.edf`, `.bdf`, `.xdf` | each by itself, with its annotations or markers that name gestures |
 ///
 /// Files that look like recordings but match none of these are listed as skipped. Links to folders are followed; of each path, a
 /// folder is looked at once, however many links lead to it.
@@ -93,9 +109,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
     for path in paths {
         let skipped_before = found.skipped.len();
         found.entered.clear();
-        let candidates = found.gather(path, true)?;
-        found.skip_without_emg();
-        if candidates == 0 {
+        if found.gather(path, true)? == 0 {
             let hint = found.skipped.get(skipped_before);
             let hint = hint.map(|skipped| format!(" ({}: {})", skipped.path.display(), skipped.reason));
             return Err(ListingError::NoRecordings { path: path.clone(), hint: hint.unwrap_or_default() });
@@ -111,6 +125,7 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
         return Err(ListingError::NotUtf8 { path: path.clone() });
     }
     let mut skipped = found.skipped;
+    let mut unit = layout.unit().unwrap_or_default().to_owned();
     let candidates: Vec<PathBuf> = found.candidates.into_iter().map(|(_, path)| path).collect();
     let recordings = match layout {
         Layout::ThreeDc => three_dc_recordings(&candidates, &mut skipped)?,
@@ -122,13 +137,13 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
             check_filtered(settings, &candidates)?;
             trial_recordings(&candidates)?
         }
-        Layout::Labelled => labelled_recordings(settings, &candidates, &mut skipped)?,
+        Layout::Labelled => labelled_recordings(settings, &candidates, &mut skipped, &mut unit)?,
     };
     if recordings.is_empty() {
         let first_reason = skipped.first().map_or("they hold no trials".to_owned(), ToString::to_string);
         return Err(ListingError::NoneUsable { first_reason });
     }
-    Ok(Recordings { layout, recordings, skipped })
+    Ok(Recordings { layout, recordings, skipped, unit })
 }
 
 /// Folders and files by their names.
@@ -139,8 +154,6 @@ struct Found {
     seen: BTreeSet<PathBuf>,
     /// The folders below the present path that were looked into, as the system names them.
     entered: BTreeSet<PathBuf>,
-    /// Folders of 3DC with something else, such as the armband's movements.
-    without_emg: Vec<PathBuf>,
     skipped: Vec<SkippedEntry>,
 }
 
@@ -154,7 +167,7 @@ impl Found {
             }
             if three_dc::origin_through_links(path).is_some() {
                 if !three_dc::holds_emg(path)? {
-                    self.without_emg.push(path.to_owned());
+                    self.skip(path, SkippedKind::OtherFile, "it holds no EMG");
                     return Ok(0);
                 }
                 return Ok(self.add(Layout::ThreeDc, path));
@@ -177,6 +190,9 @@ impl Found {
         if ozdemir::trial_of_name(path).is_some() {
             return Ok(self.add(Layout::OzdemirTrials, path));
         }
+        if is_signals(path) {
+            return Ok(self.add(Layout::Labelled, path));
+        }
         if path.file_name().is_some_and(|name| name == labels::FILE_NAME) {
             return Ok(self.add(Layout::Labelled, path.parent().unwrap_or(Path::new("."))));
         }
@@ -188,9 +204,13 @@ impl Found {
         let is_text =
             !is_given && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
         if is_three_dc {
-            self.skip(path, "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG");
+            self.skip(
+                path,
+                SkippedKind::OtherFile,
+                "its folder is not ParticipantP/train/EMG or ParticipantP/test/EMG",
+            );
         } else if is_table(path) && !is_text {
-            self.skip(path, &unlabelled(path));
+            self.skip(path, SkippedKind::NoLabel, &unlabelled(path));
         }
         Ok(0)
     }
@@ -199,25 +219,13 @@ impl Found {
         if self.seen.insert(real(path)) {
             self.candidates.push((layout, path.to_owned()));
         } else {
-            self.skip(path, "it was given twice and is used once");
+            self.skip(path, SkippedKind::Twice, "it was given twice and is used once");
         }
         1
     }
 
-    /// Lists the folders of 3DC without EMG in one entry.
-    fn skip_without_emg(&mut self) {
-        let folders = std::mem::take(&mut self.without_emg);
-        let Some(first) = folders.first() else { return };
-        let others = match folders.len() - 1 {
-            0 => String::new(),
-            1 => "; so is one other folder like it".to_owned(),
-            others => format!("; so are {others} other folders like it"),
-        };
-        self.skip(first, &format!("it holds no EMG and is passed over{others}"));
-    }
-
-    fn skip(&mut self, path: &Path, reason: &str) {
-        self.skipped.push(SkippedEntry { path: path.to_owned(), reason: reason.to_owned() });
+    fn skip(&mut self, path: &Path, kind: SkippedKind, reason: &str) {
+        self.skipped.push(SkippedEntry { path: path.to_owned(), kind, reason: reason.to_owned() });
     }
 }
 
@@ -273,11 +281,12 @@ fn three_dc_recordings(
         let names = "3dc_EMG_gesture_R_G.txt with R from 0 and G from 0 to 10";
         if repetitions.is_empty() {
             let reason = format!("it holds no files {names}");
-            skipped.push(SkippedEntry { path: folder.clone(), reason });
+            skipped.push(SkippedEntry { path: folder.clone(), kind: SkippedKind::NoTrial, reason });
         }
         for path in entries(folder)? {
             if is_table(&path) && three_dc::parse_file_name(&path).is_none() {
-                skipped.push(SkippedEntry { path, reason: format!("its name is not {names}") });
+                let reason = format!("its name is not {names}");
+                skipped.push(SkippedEntry { path, kind: SkippedKind::OtherFile, reason });
             }
         }
         recordings.extend(repetitions.into_iter().map(|repetition| Recording {
@@ -322,7 +331,7 @@ fn mat_recordings(
             Ok(None) => "neither its variable iD nor a number in its name identifies the person".to_owned(),
             Err(error) => error.below(file),
         };
-        skipped.push(SkippedEntry { path: file.clone(), reason });
+        skipped.push(SkippedEntry { path: file.clone(), kind: SkippedKind::Unreadable, reason });
     }
     let recording = |(person, file): (u16, &PathBuf)| Recording {
         path: file.clone(),
@@ -366,20 +375,38 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
 /// Whom the recorder of earlier versions labelled everybody's recordings with; whose they are stands beside the labels.
 const EARLIER_RECORDER: PersonId = PersonId::Number(1);
 
+/// Whether nothing in a table tells its sampling rate. What else is wrong with it shows when it is read.
+fn tells_no_rate(file: &LabelledFile) -> bool {
+    let opened = RecordingSource::of_table(file.segments.clone(), &[Channel::Index(0)], None);
+    matches!(opened, Err(RecordingError::SampleRateMissing { .. }))
+}
+
 fn labelled_recordings(
     settings: &DatasetSettings,
     folders: &[PathBuf],
     skipped: &mut Vec<SkippedEntry>,
+    unit: &mut String,
 ) -> Result<Vec<Recording>, ListingError> {
     let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
+        if is_signals(folder) && folder.is_file() {
+            files.extend(own_cues(folder, unit, skipped)?.map(|file| (file, None)));
+            continue;
+        }
         let recorded = RecordedSession::read(folder)?;
         let default_hz = recorded.as_ref().map(|session| session.sample_rate_hz);
-        if settings.recording_rate_hz.or(default_hz).is_none() {
-            return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
+        if let Some(recorded) = recorded.as_ref().filter(|_| unit.is_empty()) {
+            *unit = canonical_unit(&recorded.unit).to_owned();
         }
         for mut file in labels::read(folder, skipped)? {
+            let is_rate_known = settings.recording_rate_hz.or(default_hz).is_some();
+            if !is_rate_known && !is_signals(&file.path) && tells_no_rate(&file) {
+                return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
+            }
+            if unit.is_empty() && is_signals(&file.path) {
+                *unit = canonical_unit(&Signals::read(&file.path, &[Channel::Index(0)])?.unit).to_owned();
+            }
             if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {
                 file.person = session.person;
             }
@@ -406,13 +433,62 @@ fn labelled_recordings(
             return Err(ListingError::TooManyRepetitions { person });
         }
         let place = names.iter().position(|name| *name == session).unwrap_or(0) as u32;
+        let content = match is_signals(&path) {
+            // Those of the folder's labels; its own cues are found again when it is opened.
+            true => {
+                Content::Signals { segments: folder_of_file.contains_key(&real(&path)).then_some(segments) }
+            }
+            false => Content::Table { segments, default_hz },
+        };
         recordings.push(Recording {
             path,
             person,
             session,
             repetitions_before: place * repetitions,
-            content: Content::Table { segments, default_hz },
+            content,
         });
     }
     Ok(recordings)
+}
+
+/// A file whose annotations or markers say what was done when; `None` if it cannot be used. Its unit becomes `unit` if that is
+/// empty.
+fn own_cues(
+    file: &Path,
+    unit: &mut String,
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<Option<LabelledFile>, ListingError> {
+    let mut skip = |kind, reason: String| {
+        skipped.push(SkippedEntry { path: file.to_owned(), kind, reason });
+        Ok(None)
+    };
+    let signals = match Signals::read(file, &[Channel::Index(0)]) {
+        Ok(signals) => signals,
+        Err(error) => return skip(SkippedKind::Unreadable, error.below(file)),
+    };
+    if signals.cues.is_empty() {
+        return skip(
+            SkippedKind::NoLabel,
+            "no annotation or marker in it names a gesture: write a labels.csv beside it that says what it shows".to_owned(),
+        );
+    }
+    let Some((person, session)) = labels::origin_of_name(file) else {
+        return skip(
+            SkippedKind::Person,
+            "neither its name nor its folder's says whose it is: call it sub-PERSON_….edf, or put it into a folder with the \
+             person's name"
+                .to_owned(),
+        );
+    };
+    let own_unit = canonical_unit(&signals.unit);
+    if unit.is_empty() {
+        *unit = own_unit.to_owned();
+    } else if *unit != own_unit {
+        return skip(
+            SkippedKind::Other,
+            format!("its samples are in {own_unit}, those of others in {unit}: give them separately"),
+        );
+    }
+    let segments = signals.segments(file);
+    Ok(Some(LabelledFile { path: file.to_owned(), person, session, segments }))
 }

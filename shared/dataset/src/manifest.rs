@@ -1,16 +1,19 @@
 //! What stands beside the arrays of a data set: settings, counts, and what became of each trial.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
 use tendon_provenance::Provenance;
-use tendon_recordings::SkippedEntry;
+use tendon_recordings::{Channel, SkippedEntry, SkippedKind};
 
+use crate::files::MANIFEST;
 use crate::listing::Layout;
 use crate::settings::DatasetSettings;
 use crate::split::{SplitEntry, TrainingStatistics};
+use crate::stored::StoredDatasetProblem;
 use crate::trial::{OnsetStatistics, RecordingEntry};
 
 /// What was made of which recordings.
@@ -21,6 +24,16 @@ pub struct Manifest {
     /// Name of the data set that the recordings are of, such as `3DC`; `null` for recordings of your own.
     #[serde(default)]
     pub data_set: Option<String>,
+    /// Gestures by their numbers in `labels.npy`; empty in data sets of earlier versions, which have these.
+    #[serde(default)]
+    pub classes: Vec<String>,
+    /// Names of the channels in their order in `windows.npy`, numbers from 0 where the recordings give no names; empty in data
+    /// sets of earlier versions.
+    #[serde(default)]
+    pub channel_names: Vec<String>,
+    /// Unit of the samples; empty if nobody knows.
+    #[serde(default)]
+    pub unit: String,
     /// Windows in all.
     pub windows: u64,
     /// Windows of each gesture, by name.
@@ -42,6 +55,9 @@ pub struct Manifest {
     pub recordings: Vec<RecordingEntry>,
     /// Everything that was not used.
     pub skipped: Vec<SkippedEntry>,
+    /// How much of it there is of each kind.
+    #[serde(default)]
+    pub skipped_by_kind: BTreeMap<SkippedKind, usize>,
     /// What the user should know about the recordings.
     pub notices: Vec<String>,
     /// Program, machine, options and hashes of the recordings.
@@ -50,8 +66,10 @@ pub struct Manifest {
 }
 
 /// What the builder knows of a data set when its windows are written.
-pub(crate) struct Content {
+pub(crate) struct Content<'a> {
     pub(crate) layout: Layout,
+    /// Unit of the samples; empty if nobody knows.
+    pub(crate) unit: &'a str,
     pub(crate) windows: u64,
     pub(crate) recordings: Vec<RecordingEntry>,
     pub(crate) skipped: Vec<SkippedEntry>,
@@ -59,9 +77,16 @@ pub(crate) struct Content {
 }
 
 impl Manifest {
+    /// Reads that of the data set in `folder`.
+    pub(crate) fn read(folder: &Path) -> Result<Manifest, StoredDatasetProblem> {
+        let text = tendon_input::read_text(&folder.join(MANIFEST), tendon_input::LARGEST_LIST)
+            .map_err(StoredDatasetProblem::ManifestMissing)?;
+        serde_json::from_str(&text).map_err(StoredDatasetProblem::Manifest)
+    }
+
     pub(crate) fn of(
         settings: &DatasetSettings,
-        content: Content,
+        content: Content<'_>,
         split: SplitEntry,
         training_statistics: TrainingStatistics,
     ) -> Manifest {
@@ -80,6 +105,9 @@ impl Manifest {
         Manifest {
             settings: settings.clone(),
             data_set: content.layout.data_set().map(str::to_owned),
+            classes: Gesture::PAPER.map(|gesture| gesture.name().to_owned()).to_vec(),
+            channel_names: settings.channels.iter().map(Channel::name).collect(),
+            unit: content.unit.to_owned(),
             windows,
             windows_per_gesture,
             named_people: named_people(&recordings),
@@ -89,6 +117,7 @@ impl Manifest {
             split,
             training_statistics,
             recordings,
+            skipped_by_kind: SkippedKind::count(skipped.iter().map(|skipped| skipped.kind)),
             skipped,
             notices,
             provenance: Provenance::default(),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use tendon_identity::PersonId;
 use tendon_recordings::{
     Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Segment, SkippedEntry,
-    ozdemir, three_dc,
+    SkippedKind, ozdemir, three_dc,
 };
 
 use crate::settings::DatasetSettings;
@@ -33,6 +33,8 @@ pub(crate) enum Content {
     OzdemirMat,
     /// A text table, divided like this.
     Table { segments: Vec<Segment>, default_hz: Option<f64> },
+    /// A file that describes itself, divided like this or by its own cues.
+    Signals { segments: Option<Vec<Segment>> },
 }
 
 impl Recording {
@@ -52,6 +54,12 @@ impl Recording {
                 let rate_hz = settings.recording_rate_hz.or(*default_hz);
                 RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)
             }
+            Content::Signals { segments } => RecordingSource::of_signals(
+                &self.path,
+                segments.clone(),
+                &settings.channels,
+                settings.recording_rate_hz,
+            ),
         }
     }
 
@@ -61,8 +69,7 @@ impl Recording {
     /// When it cannot be opened.
     pub fn file_channels(&self, settings: &DatasetSettings) -> Result<Vec<Channel>, RecordingError> {
         let with = |channels: Vec<Channel>| self.open(&DatasetSettings { channels, ..settings.clone() });
-        let count = with(vec![Channel::Index(0)])?.file_channels();
-        let names = with((0..count).map(Channel::Index).collect())?.chosen();
+        let names = with(vec![Channel::Index(0)])?.file_names();
         let channel = |(index, name): (usize, &String)| {
             let is_unique = names.iter().filter(|other| *other == name).count() == 1;
             if is_unique && *name != index.to_string() {
@@ -97,9 +104,11 @@ impl Recording {
         let option = if error.is_missing_channel() { " with --channels" } else { "" };
         let reason = match &self.content {
             Content::ThreeDc { repetition } => format!("repetition {repetition}: {problem}{option}"),
-            Content::OzdemirMat | Content::Table { .. } => format!("{problem}{option}"),
+            Content::OzdemirMat | Content::Table { .. } | Content::Signals { .. } => {
+                format!("{problem}{option}")
+            }
         };
-        SkippedEntry { path: self.path.clone(), reason }
+        SkippedEntry { path: self.path.clone(), kind: SkippedKind::Unreadable, reason }
     }
 
     /// Its files.
@@ -110,7 +119,7 @@ impl Recording {
                 .and_then(|mut files| files.remove(repetition))
                 .map(|files| files.into_values().collect())
                 .unwrap_or_default(),
-            Content::OzdemirMat | Content::Table { .. } => vec![self.path.clone()],
+            Content::OzdemirMat | Content::Table { .. } | Content::Signals { .. } => vec![self.path.clone()],
         }
     }
 }

@@ -100,10 +100,7 @@ impl StoredDataset {
     /// others.
     pub fn open(folder: &Path) -> Result<StoredDataset, StoredDatasetError> {
         let wrong = |name, problem| StoredDatasetError { path: folder.join(name), problem };
-        let text = tendon_input::read_text(&folder.join(MANIFEST), tendon_input::LARGEST_LIST)
-            .map_err(|error| wrong(MANIFEST, StoredDatasetProblem::ManifestMissing(error)))?;
-        let manifest: Manifest = serde_json::from_str(&text)
-            .map_err(|error| wrong(MANIFEST, StoredDatasetProblem::Manifest(error)))?;
+        let manifest = Manifest::read(folder).map_err(|problem| wrong(MANIFEST, problem))?;
         let dataset = StoredDataset {
             windows: open_array(folder, WINDOWS, 2)?,
             labels: open_array(folder, LABELS, 0)?,

@@ -58,7 +58,8 @@ fn read_in_every_way(path: &Path, out: &Path) {
     }
     let settings = DatasetSettings { recording_rate_hz: None, ..DatasetSettings::default() };
     let mut go_on = |_: tendon_dataset::Progress<'_>| ControlFlow::Continue(());
-    if let Err(error) = build(&settings, &BuildSettings::default(), &[path.to_owned()], out, &mut go_on) {
+    let building = BuildSettings { replaces: true, ..BuildSettings::default() };
+    if let Err(error) = build(&settings, &building, &[path.to_owned()], out, &mut go_on) {
         says(error.to_string());
     }
 }

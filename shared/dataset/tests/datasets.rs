@@ -17,7 +17,7 @@ use tendon_dataset::{
 };
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
-use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder, SkippedEntry};
+use tendon_recordings::{Channel, RecordedSession, RecordedTrial, Recorder, SkippedKind};
 use tendon_signal::WindowSettings;
 
 /// People of a data set that counts them.
@@ -41,7 +41,8 @@ fn build(
     path: &Path,
     out: &Path,
 ) -> Result<Manifest, DatasetError> {
-    dataset::build(settings, building, &[path.to_owned()], out, &mut |_| ControlFlow::Continue(()))
+    let building = BuildSettings { replaces: true, ..building.clone() };
+    dataset::build(settings, &building, &[path.to_owned()], out, &mut |_| ControlFlow::Continue(()))
 }
 
 /// Two channels of something like noise, another one for each seed.
@@ -143,8 +144,13 @@ impl Whole {
     fn new() -> Whole {
         let temporary = tempfile::tempdir().unwrap();
         write_three_dc(&temporary.path().join("recordings"), &[1, 2, 3]);
-        let building =
-            BuildSettings { test_people: numbered(&[2]), threads: 2, seed: 5, ..BuildSettings::default() };
+        let building = BuildSettings {
+            test_people: numbered(&[2]),
+            threads: 2,
+            seed: 5,
+            replaces: true,
+            ..BuildSettings::default()
+        };
         let out = temporary.path().join("whole");
         build(&settings(), &building, &temporary.path().join("recordings"), &out).unwrap();
         Whole { building, contents: contents(&out), temporary }
@@ -154,7 +160,7 @@ impl Whole {
         self.temporary.path().join("recordings")
     }
 
-    /// A build that is broken off after so many recordings.
+    /// A build that is broken off after so many recordings, where nothing stood.
     fn interrupted(&self, recordings: usize) -> PathBuf {
         let out = self.temporary.path().join(format!("interrupted-{recordings}"));
         self.interrupt(recordings, &out);
@@ -170,7 +176,6 @@ impl Whole {
         let error = dataset::build(&settings(), &self.building, &[self.recordings()], out, &mut progress)
             .unwrap_err();
         assert!(matches!(error, DatasetError::Interrupted { .. }), "{error}");
-        assert!(!out.join("manifest.json").exists());
     }
 
     /// Builds again; how many recordings were there already, and whether an unfinished build was of something else.
@@ -185,6 +190,11 @@ impl Whole {
         dataset::build(settings, &self.building, &[self.recordings()], out, &mut progress).unwrap();
         begun.unwrap()
     }
+}
+
+/// Where the data set for `out` is built.
+fn unfinished(out: &Path) -> PathBuf {
+    out.with_extension("unfinished")
 }
 
 #[test]
@@ -208,11 +218,58 @@ fn a_build_that_was_interrupted_goes_on_and_gives_the_same() {
 }
 
 #[test]
+fn a_finished_data_set_stays_until_another_is_complete_and_is_replaced_only_when_asked() {
+    let whole = Whole::new();
+    let out = whole.temporary.path().join("whole");
+    let kept = BuildSettings { replaces: false, ..whole.building.clone() };
+    let mut silent = |_: Progress<'_>| ControlFlow::Continue(());
+    let refused = dataset::build(&settings(), &kept, &[whole.recordings()], &out, &mut silent);
+    let refused = refused.unwrap_err().to_string();
+    for part in
+        ["whole holds a finished data set (people 1, 2, 3; ", " windows of flexion, grip, rest)", "--force"]
+    {
+        assert!(refused.contains(part), "`{part}` is not in {refused}");
+    }
+    // Broken off, then refused at the end: nobody is left to train on.
+    whole.interrupt(7, &out);
+    assert_same(&whole.contents, &contents(&out), "after an interruption");
+    let all_sessions = vec!["train".to_owned(), "test".to_owned()];
+    let nothing = BuildSettings { test_sessions: all_sessions, ..whole.building.clone() };
+    let refused = build(&settings(), &nothing, &whole.recordings(), &out).unwrap_err();
+    assert!(matches!(refused, DatasetError::NothingToTrain { .. }), "{refused}");
+    assert_same(&whole.contents, &contents(&out), "after a build that failed");
+    let other = DatasetSettings { fallback_ms: 300.0, ..settings() };
+    build(&other, &whole.building, &whole.recordings(), &out).unwrap();
+    assert_eq!(StoredDataset::open(&out).unwrap().manifest().settings, other);
+    assert!(!unfinished(&out).exists());
+}
+
+#[test]
+fn a_data_set_names_its_classes_its_channels_and_its_unit_and_those_of_earlier_versions_are_read() {
+    let whole = Whole::new();
+    let out = whole.temporary.path().join("whole");
+    let manifest = StoredDataset::open(&out).unwrap().manifest().clone();
+    assert_eq!(manifest.classes, ["rest", "extension", "flexion", "ulnar", "radial", "grip"]);
+    assert_eq!(
+        (manifest.channel_names, manifest.unit.as_str()),
+        (vec!["0".into(), "1".into()], "adc_counts")
+    );
+    let path = out.join("manifest.json");
+    let mut json: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    for key in ["classes", "channel_names", "unit"] {
+        json.as_object_mut().unwrap().remove(key).unwrap();
+    }
+    fs::write(&path, json.to_string()).unwrap();
+    let dataset = StoredDataset::open(&out).unwrap();
+    assert!(dataset.manifest().classes.is_empty() && dataset.manifest().unit.is_empty());
+}
+
+#[test]
 fn what_was_damaged_meanwhile_is_built_anew() {
     let whole = Whole::new();
     let damaged = |name: &str, change: &dyn Fn(&mut Vec<u8>)| {
         let out = whole.interrupted(8);
-        let path = out.join(name);
+        let path = unfinished(&out).join(name);
         let mut bytes = fs::read(&path).unwrap();
         change(&mut bytes);
         fs::write(&path, bytes).unwrap();
@@ -220,7 +277,7 @@ fn what_was_damaged_meanwhile_is_built_anew() {
         assert_same(&whole.contents, &contents(&out), name);
         resumed
     };
-    let journal_bytes = fs::read(whole.interrupted(8).join("progress.jsonl")).unwrap().len();
+    let journal_bytes = fs::read(unfinished(&whole.interrupted(8)).join("progress.jsonl")).unwrap().len();
     for cut in [1, 50, 800, journal_bytes - 10, journal_bytes] {
         let resumed = damaged("progress.jsonl", &|bytes| bytes.truncate(bytes.len() - cut));
         assert!(resumed < 8, "{cut} bytes less: {resumed}");
@@ -395,7 +452,7 @@ fn nobody_of_the_real_people_is_on_both_sides_of_the_test() {
     assert_eq!(manifest.split.train_people, [1, 22]);
     check_split(&out, &numbered(&[13, 14]));
 
-    let divided = BuildSettings { test_people: numbered(&[14]), ..BuildSettings::default() };
+    let divided = BuildSettings { test_people: numbered(&[14]), replaces: true, ..BuildSettings::default() };
     let error = dataset::build(&settings, &divided, &paths, &out, &mut silent).unwrap_err();
     assert!(matches!(error, DatasetError::Split(SplitError::TwinsDivided { .. })), "{error}");
     // Where only one of the two is there, nothing is shared.
@@ -570,6 +627,9 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     assert!(reason("missing.csv", "labels.csv, line 8, names it, but there is no such file"), "{skipped:?}");
     assert!(reason("monday.csv", "gesture `fist` is none of rest, extension"), "{skipped:?}");
     assert!(reason("monday.csv", "it ends at sample 4100, but the file has only 4000"), "{skipped:?}");
+    use SkippedKind::{CutOff, NoLabel, NotThere, OtherGesture};
+    let kinds = [OtherGesture, NoLabel, NotThere, CutOff].map(|kind| (kind, 1));
+    assert_eq!(manifest.skipped_by_kind, kinds.into());
 
     // The filter runs through the whole file: the same samples, in one piece.
     let whole = temporary.path().join("whole");
@@ -586,6 +646,101 @@ fn tables_with_labels_are_cut_as_the_labels_say() {
     let window = parts.window(grip.first_window as usize);
     assert_eq!(window[..100 - offset], whole.window(at)[offset..100]);
     assert_eq!(window[100..200 - offset], whole.window(at)[100 + offset..]);
+}
+
+/// EDF+ of two channels at 1000 Hz in uV, as many whole seconds of [`noise`], with annotations `(start_s, duration_s, text)`.
+fn write_edf(path: &Path, seed: usize, seconds: usize, annotations: &[(f64, f64, &str)]) {
+    const TEXT_BYTES: usize = 80;
+    let mut bytes = format!("{:<184}{:<8}{:<44}{seconds:<8}{:<8}{:<4}", 0, 1024, "EDF+C", 1, 3).into_bytes();
+    for (values, width) in [
+        (["EMG 1", "EMG 2", "EDF Annotations"], 16),
+        ([""; 3], 80),
+        (["uV", "uV", ""], 8),
+        (["-32768"; 3], 8),
+        (["32767"; 3], 8),
+        (["-32768"; 3], 8),
+        (["32767"; 3], 8),
+        ([""; 3], 80),
+        (["1000", "1000", "40"], 8),
+        ([""; 3], 32),
+    ] {
+        bytes.extend(values.map(|value| format!("{value:<width$}")).concat().into_bytes());
+    }
+    let samples: Vec<[i32; 2]> = noise(seed, seconds * 1000).collect();
+    for (second, samples) in samples.chunks(1000).enumerate() {
+        for channel in 0..2 {
+            bytes.extend(samples.iter().flat_map(|sample| (sample[channel] as i16).to_le_bytes()));
+        }
+        let mut text = format!("+{second}\x14\x14\0");
+        for (start_s, duration_s, gesture) in
+            annotations.iter().filter(|(start_s, ..)| *start_s as usize == second)
+        {
+            text += &format!("+{start_s}\x15{duration_s}\x14{gesture}\x14\0");
+        }
+        bytes.extend(text.as_bytes());
+        bytes.resize(bytes.len() + TEXT_BYTES - text.len(), 0);
+    }
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn annotations_say_what_labels_would() {
+    let temporary = tempfile::tempdir().unwrap();
+    let (own, tables, named) =
+        (temporary.path().join("own"), temporary.path().join("tables"), temporary.path().join("named"));
+    let annotations =
+        [(0.5, 1.5, "rest"), (2.25, 1.25, "Grip"), (4.0, 1.0, "extension"), (4.5, 0.0, "good one")];
+    write_edf(&own.join("all/sub-anna_ses-1_task-grasp_emg.edf"), 1, 5, &annotations);
+    write_edf(&own.join("ben/later.edf"), 2, 5, &annotations);
+    write_edf(&own.join("ben/nothing.edf"), 2, 5, &[]);
+    let labels = |file: &str, person: &str, session: &str| {
+        ["rest,500,2000", "grip,2250,3500", "extension,4000,5000"]
+            .map(|trial| format!("{file},{person},{session},0,{trial}\n"))
+            .concat()
+    };
+    let header = "file,person,session,repetition,gesture,start_sample,end_sample\n";
+    for (folder, ending) in [(&tables, "csv"), (&named, "edf")] {
+        let lines = labels(&format!("a.{ending}"), "anna", "1") + &labels(&format!("b.{ending}"), "ben", "1");
+        fs::create_dir_all(folder).unwrap();
+        fs::write(folder.join("labels.csv"), header.to_owned() + &lines).unwrap();
+    }
+    for (name, seed) in [("a", 1), ("b", 2)] {
+        write_table(&tables.join(format!("{name}.csv")), seed, 5000);
+        write_edf(&named.join(format!("{name}.edf")), seed, 5, &[(0.0, 5.0, "ulnar")]);
+    }
+    let built = |folder: &Path, recording_rate_hz| {
+        let settings = DatasetSettings { recording_rate_hz, ..settings() };
+        let out = folder.with_extension("out");
+        let manifest = build(&settings, &BuildSettings::default(), folder, &out).unwrap();
+        let stored = StoredDataset::open(&out).unwrap();
+        let windows: Vec<f32> = (0..stored.len()).flat_map(|window| stored.window(window).to_vec()).collect();
+        let trials: Vec<_> = manifest
+            .recordings
+            .iter()
+            .map(|trial| (trial.person, trial.gesture, trial.first_sample, trial.samples, trial.windows))
+            .collect();
+        (manifest, windows, trials)
+    };
+    let (manifest, windows, trials) = built(&own, None);
+    assert_eq!(trials.len(), 6);
+    let (_, table_windows, table_trials) = built(&tables, Some(1000.0));
+    assert_eq!(trials, table_trials);
+    assert!(windows == table_windows, "windows of the annotations differ from those of the labels");
+    // Where there are labels, these count.
+    let (_, named_windows, named_trials) = built(&named, None);
+    assert!(named_windows == windows && named_trials == trials);
+    assert_eq!(manifest.recordings[0].session, "ses-1_task-grasp_emg");
+    assert_eq!(manifest.skipped.len(), 1, "{:?}", manifest.skipped);
+    assert!(manifest.skipped[0].reason.contains("no annotation or marker in it names a gesture"));
+    let unit = |folder: &Path| dataset::list(&settings(), &[folder.to_owned()]).unwrap().unit;
+    assert_eq!([unit(&own), unit(&named)], ["uV", "uV"]);
+    let other_rate = DatasetSettings { recording_rate_hz: Some(2000.0), ..settings() };
+    let message =
+        build(&other_rate, &BuildSettings::default(), &own.join("all"), &temporary.path().join("x"))
+            .unwrap_err()
+            .to_string();
+    assert!(message.contains("was sampled at 1000 Hz, but sample_rate_hz = 2000"), "{message}");
 }
 
 #[test]
@@ -814,8 +969,8 @@ fn the_published_three_dc_is_read_without_the_movements_of_the_armband() {
     assert_eq!((found.layout, found.recordings.len()), (Layout::ThreeDc, 8));
     assert!(found.recordings.iter().all(|recording| recording.path.ends_with("EMG")));
     let imu = folder.join("Participant1/test/IMU");
-    let reason = "it holds no EMG and is passed over; so are 3 other folders like it";
-    assert_eq!(found.skipped, [SkippedEntry { path: imu.clone(), reason: reason.to_owned() }]);
+    assert_eq!(found.skipped.len(), 4, "{:?}", found.skipped);
+    assert_eq!((&found.skipped[0].path, found.skipped[0].kind), (&imu, SkippedKind::OtherFile));
     let message = dataset::list(&settings(), &[imu]).unwrap_err().to_string();
     assert!(message.contains("no recordings found (") && message.contains("it holds no EMG"), "{message}");
 }
@@ -833,18 +988,18 @@ fn links_to_folders_are_followed_once_and_never_in_a_circle() {
     let linked = temporary.path().join("linked");
     fs::create_dir(&linked).unwrap();
     symlink(&person, linked.join("Participant1")).unwrap();
-    assert_eq!(recordings(&linked), (4, 1));
+    assert_eq!(recordings(&linked), (4, 2));
     // The same folder again by another name, and the way back up.
     symlink(&person, linked.join("again")).unwrap();
     symlink(&linked, linked.join("up")).unwrap();
     symlink("nowhere", linked.join("dangling")).unwrap();
-    assert_eq!(recordings(&linked), (4, 1));
+    assert_eq!(recordings(&linked), (4, 2));
     // A name that does not say whose recordings they are.
     let renamed = temporary.path().join("renamed");
     fs::create_dir(&renamed).unwrap();
     symlink(&person, renamed.join("first")).unwrap();
-    assert_eq!(recordings(&renamed), (4, 1));
-    assert_eq!(recordings(&renamed.join("first")), (4, 1));
+    assert_eq!(recordings(&renamed), (4, 2));
+    assert_eq!(recordings(&renamed.join("first")), (4, 2));
 }
 
 #[test]

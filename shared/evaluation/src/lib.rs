@@ -12,6 +12,7 @@
 mod confusion;
 mod continuous;
 mod evaluation;
+mod left_out;
 mod people;
 mod personal;
 mod personal_strategy;
@@ -26,6 +27,7 @@ mod windows;
 pub use confusion::{ClassScores, Confusion};
 pub use continuous::{Asked, CuePart, FALL_MS, Step, StrategyTally};
 pub use evaluation::{ConfusedPair, Evaluation, Spread};
+pub use left_out::LeftOut;
 pub use people::{PeopleError, chosen_people};
 pub use personal::{
     PersonalError, PersonalScores, PersonalSettings, SCORED_SESSION, gather_cohort, prior_without,

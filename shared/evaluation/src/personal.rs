@@ -21,8 +21,10 @@ use tendon_features::{
 use tendon_gesture::{Class, Gesture};
 use tendon_identity::PersonId;
 use tendon_people::{CalibrationError, Made, Person, PersonName, PersonalRecogniser, RecogniseError};
+use tendon_recordings::SkippedKind;
 
 use crate::evaluation::{Evaluation, Spread};
+use crate::left_out::LeftOut;
 use crate::people::{PeopleError, chosen_people};
 use crate::score::OnProgress;
 use crate::tally::{Answer, Origin, Tally};
@@ -61,7 +63,9 @@ pub struct PersonalScores {
     /// Time to fit one person, s: the longest.
     pub longest_fit_s: f64,
     /// Recordings and people that could not be used, and why.
-    pub skipped: Vec<String>,
+    pub skipped: Vec<LeftOut>,
+    /// How much of it there is of each kind.
+    pub skipped_by_kind: BTreeMap<SkippedKind, usize>,
     /// The scores.
     #[serde(flatten)]
     pub evaluation: Evaluation,
@@ -93,13 +97,13 @@ pub enum PersonalError {
     Recognise(#[from] RecogniseError),
     /// Not one person has what it takes.
     #[error("nobody can be calibrated and scored: {}", main_reason(.0))]
-    Nobody(Vec<String>),
+    Nobody(Vec<LeftOut>),
 }
 
 /// Why somebody is left out says more than why a trial is.
-fn main_reason(skipped: &[String]) -> &str {
-    let of_person = skipped.iter().find(|reason| reason.starts_with("person "));
-    of_person.or(skipped.first()).map_or("there are no recordings", String::as_str)
+fn main_reason(skipped: &[LeftOut]) -> &str {
+    let of_person = skipped.iter().find(|left_out| left_out.kind == SkippedKind::Person);
+    of_person.or(skipped.first()).map_or("there are no recordings", |left_out| &left_out.reason)
 }
 
 /// The recordings at or below some paths, by person.
@@ -112,10 +116,10 @@ impl ByPerson {
     pub(crate) fn list(
         settings: &DatasetSettings,
         paths: &[PathBuf],
-        skipped: &mut Vec<String>,
+        skipped: &mut Vec<LeftOut>,
     ) -> Result<ByPerson, ListingError> {
         let found = list(settings, paths)?;
-        skipped.extend(found.skipped.iter().map(ToString::to_string));
+        skipped.extend(found.skipped.iter().map(LeftOut::from));
         let mut people: BTreeMap<PersonId, Vec<Recording>> = BTreeMap::new();
         for recording in found.recordings {
             people.entry(recording.person).or_default().push(recording);
@@ -132,7 +136,7 @@ impl ByPerson {
         &self,
         settings: &DatasetSettings,
         method: &MethodSettings,
-        skipped: &mut Vec<String>,
+        skipped: &mut Vec<LeftOut>,
         on_person: &mut OnProgress<'_>,
     ) -> Result<Cohort, FeatureError> {
         let features =
@@ -142,7 +146,7 @@ impl ByPerson {
             on_person(done, self.people.len());
             let windows = PersonWindows::read(settings, recordings, skipped);
             if let Err(error) = windows.join(self.id(number), method, &mut cohort) {
-                skipped.push(format!("person {number} makes no prior for others: {error}"));
+                skipped.push(LeftOut::person(format!("person {number} makes no prior for others: {error}")));
             }
         }
         Ok(cohort)
@@ -158,7 +162,7 @@ pub fn gather_cohort(
     paths: &[PathBuf],
     settings: &DatasetSettings,
     method: &MethodSettings,
-    skipped: &mut Vec<String>,
+    skipped: &mut Vec<LeftOut>,
     on_progress: &mut OnProgress<'_>,
 ) -> Result<Cohort, PersonalError> {
     let found = ByPerson::list(settings, paths, skipped)?;
@@ -213,13 +217,14 @@ pub fn score_people(
         let skipped_before = skipped.len();
         let windows = PersonWindows::read(dataset, &found.people[&number], &mut skipped);
         if windows.origins().is_empty() {
-            let reason = skipped.get(skipped_before).map_or("there are no trials", String::as_str);
-            skipped.push(format!("person {number}: no recording holds a window that can be used: {reason}"));
+            let reason = skipped.get(skipped_before).map_or("there are no trials", |first| &first.reason);
+            let reason = format!("person {number}: no recording holds a window that can be used: {reason}");
+            skipped.push(LeftOut::person(reason));
             continue;
         }
         let prior = prior_without(cohort, found.layout, number)?;
         if let Err(error) = scored.person(number, &windows, settings, prior.as_ref()) {
-            skipped.push(format!("person {number}: {error}"));
+            skipped.push(LeftOut::person(format!("person {number}: {error}")));
         }
     }
     scored.finish(ScoredOn {
@@ -240,7 +245,7 @@ pub(crate) struct ScoredOn<'a> {
     pub(crate) layout: Layout,
     pub(crate) calibrated_on: String,
     pub(crate) prior_from: &'static str,
-    pub(crate) skipped: Vec<String>,
+    pub(crate) skipped: Vec<LeftOut>,
 }
 
 /// What the people so far gave.
@@ -354,6 +359,7 @@ impl Scored {
             expected_accuracy: Spread::of(&self.expected).mean,
             people: self.people,
             longest_fit_s: self.longest_fit_s,
+            skipped_by_kind: SkippedKind::count(of.skipped.iter().map(|left_out| left_out.kind)),
             skipped: of.skipped,
             evaluation,
         };

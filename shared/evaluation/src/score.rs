@@ -6,7 +6,7 @@
 //! recordings ─▶ cut ─────┘
 //! ```
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -17,10 +17,11 @@ use tendon_dataset::{
 };
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
-use tendon_recordings::{Channel, RecordingError};
+use tendon_recordings::{Channel, RecordingError, SkippedKind};
 use tendon_signal::WindowSettings;
 
 use crate::evaluation::Evaluation;
+use crate::left_out::{LeftOut, left_out_of};
 use crate::people::{PeopleError, chosen_people};
 use crate::sequence::{Sequence, TrialId};
 use crate::tally::{Answer, Origin, Tally};
@@ -41,7 +42,9 @@ pub struct Scores {
     /// What the model's training got on its validation windows, if the model says so.
     pub validation_accuracy: Option<f64>,
     /// Recordings that could not be used, and why.
-    pub skipped: Vec<String>,
+    pub skipped: Vec<LeftOut>,
+    /// How much of it there is of each kind.
+    pub skipped_by_kind: BTreeMap<SkippedKind, usize>,
     /// Time from the first byte to the last class, s.
     pub duration_s: f64,
     /// Seconds of signal for every second: of recordings, all that was read, windows or not; of a data set, an
@@ -181,7 +184,7 @@ pub fn score_recordings(
     let sessions = found.recordings.iter().map(|recording| (recording.person, recording.session.as_str()));
     let trained = people_known(&classifier, data_set, sessions);
     let people = chosen_people(&known, wanted, &trained)?;
-    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let mut skipped: Vec<LeftOut> = found.skipped.iter().map(LeftOut::from).collect();
     let recordings: Vec<Recording> =
         found.recordings.into_iter().filter(|recording| people.contains(&recording.person)).collect();
     let mut scorer = Scorer::new(classifier, people, data_set.map(str::to_owned));
@@ -191,9 +194,9 @@ pub fn score_recordings(
         match scorer.take_recording(&settings, recording, index)? {
             Ok(cut) => {
                 samples += cut.samples;
-                skipped.extend(cut.skipped.iter().map(ToString::to_string).chain(cut.notices));
+                skipped.extend(left_out_of(&cut));
             }
-            Err(error) => skipped.push(recording.skipped(&error).to_string()),
+            Err(error) => skipped.push(LeftOut::from(&recording.skipped(&error))),
         }
     }
     scorer.finish(paths.to_vec(), samples as f64 / settings.sample_rate_hz, skipped)
@@ -329,7 +332,7 @@ impl Scorer {
         self,
         paths: Vec<PathBuf>,
         signal_s: f64,
-        skipped: Vec<String>,
+        skipped: Vec<LeftOut>,
     ) -> Result<(Scores, Tally), ScoreError> {
         let duration_s = self.start.elapsed().as_secs_f64();
         let evaluation = Evaluation::of(&self.tally);
@@ -348,6 +351,7 @@ impl Scorer {
             people: self.people,
             data_set: self.data_set,
             validation_accuracy: self.classifier.contract().validation_accuracy,
+            skipped_by_kind: SkippedKind::count(skipped.iter().map(|left_out| left_out.kind)),
             skipped,
             duration_s,
             x_real_time: signal_s / duration_s,

@@ -15,9 +15,10 @@ use tendon_dataset::{DatasetSettings, Recording, RecordingEntry, cut};
 use tendon_gesture::{Action, DecisionSettings, Gesture, Strategy};
 use tendon_identity::PersonId;
 use tendon_pipeline::{Pipeline, PipelineError, PipelineSettings};
-use tendon_recordings::{Channel, RecordingError, ReplayBlock, ReplayStream, Segment};
+use tendon_recordings::{Channel, RecordingError, ReplayBlock, ReplayStream, Segment, SkippedKind};
 
 use crate::continuous::{Asked, CuePart, Step, StrategyTally};
+use crate::left_out::LeftOut;
 use crate::personal_strategy::PersonalStrategyError;
 use crate::score::OnProgress;
 use crate::strategy_scores::StrategyScores;
@@ -193,12 +194,13 @@ struct WithTrials {
 pub fn with_trials(
     settings: &DatasetSettings,
     recordings: Vec<Recording>,
-) -> (Vec<PersonRecordings>, Vec<String>) {
+) -> (Vec<PersonRecordings>, Vec<LeftOut>) {
     let (mut people, mut skipped): (Vec<PersonRecordings>, _) = (Vec::new(), Vec::new());
     for recording in recordings {
         match cut(settings, &recording, &mut |_| {}) {
             Ok(cut) if cut.trials.is_empty() => {
-                skipped.push(format!("{}: contains none of the six gestures", recording.path.display()));
+                let reason = format!("{}: contains none of the six gestures", recording.path.display());
+                skipped.push(LeftOut { kind: SkippedKind::NoTrial, reason });
             }
             Ok(cut) => {
                 let person = recording.person;
@@ -210,7 +212,7 @@ pub fn with_trials(
                     }
                 }
             }
-            Err(error) => skipped.push(recording.skipped(&error).to_string()),
+            Err(error) => skipped.push(LeftOut::from(&recording.skipped(&error))),
         }
     }
     (people, skipped)

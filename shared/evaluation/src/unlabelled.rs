@@ -25,6 +25,7 @@ use tendon_people::{Made, Person, PersonName, PersonalRecogniser, RecogniseError
 use tendon_recordings::Channel;
 
 use crate::evaluation::Spread;
+use crate::left_out::LeftOut;
 use crate::people::chosen_people;
 use crate::personal::{ByPerson, PersonalError, PersonalScores, Scored, ScoredOn};
 use crate::score::OnProgress;
@@ -105,7 +106,7 @@ pub fn score_unlabelled(
         let calibrating = Calibrating { number, windows: &windows, method, prior: &prior, map: &map };
         match calibrating.score(*stretch_s, &mut scored) {
             Ok(person) => unlabelled.push(person),
-            Err(error) => skipped.push(format!("person {number}: {error}")),
+            Err(error) => skipped.push(LeftOut::person(format!("person {number}: {error}"))),
         }
     }
     let (scores, tally) = scored.finish(ScoredOn {
@@ -148,7 +149,7 @@ impl Others {
         found: &ByPerson,
         turned: &[(i8, DatasetSettings)],
         method: &MethodSettings,
-        skipped: &mut Vec<String>,
+        skipped: &mut Vec<LeftOut>,
         progress: &mut impl FnMut(usize),
     ) -> Result<Others, PersonalError> {
         let (_, settings) = &turned[0];
@@ -168,7 +169,8 @@ impl Others {
                 match joined.and_then(|()| windows.placed(*turn, method)) {
                     Ok(gestures) => others.placed.push((number, gestures)),
                     Err(error) if *turn == 0 => {
-                        skipped.push(format!("person {number} tells nothing of others: {error}"));
+                        let reason = format!("person {number} tells nothing of others: {error}");
+                        skipped.push(LeftOut::person(reason));
                     }
                     Err(_) => {}
                 }

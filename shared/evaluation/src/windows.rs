@@ -17,6 +17,8 @@ use tendon_gesture::Gesture;
 use tendon_people::{Calibration, CalibrationError, Made, Person, PersonName, SignalFit};
 use tendon_recordings::Channel;
 
+use crate::left_out::{LeftOut, left_out_of};
+
 /// So long after its onset, a movement still begins.
 const ENTRY_MS: f64 = 500.0;
 /// Time from one window to the next in which gestures are looked for without labels, s: what the method was tried with.
@@ -54,7 +56,7 @@ impl PersonWindows {
     pub fn read(
         settings: &DatasetSettings,
         recordings: &[Recording],
-        skipped: &mut Vec<String>,
+        skipped: &mut Vec<LeftOut>,
     ) -> PersonWindows {
         let mut windows = PersonWindows {
             signal: signal(settings),
@@ -69,7 +71,7 @@ impl PersonWindows {
         windows
     }
 
-    fn add(&mut self, settings: &DatasetSettings, recording: &Recording, skipped: &mut Vec<String>) {
+    fn add(&mut self, settings: &DatasetSettings, recording: &Recording, skipped: &mut Vec<LeftOut>) {
         let session = self.sessions.iter().position(|session| *session == recording.session);
         let session = session.unwrap_or_else(|| {
             self.sessions.push(recording.session.clone());
@@ -84,7 +86,7 @@ impl PersonWindows {
         });
         match cut {
             Ok(cut) => {
-                skipped.extend(cut.skipped.iter().map(ToString::to_string).chain(cut.notices));
+                skipped.extend(left_out_of(&cut));
                 let entry_samples = (ENTRY_MS * 1e-3 * settings.sample_rate_hz) as usize;
                 let mut begin_samples = Vec::new();
                 for trial in &cut.trials {
@@ -103,7 +105,7 @@ impl PersonWindows {
             Err(error) => {
                 self.origins.truncate(origins_before);
                 self.samples.truncate(samples_before);
-                skipped.push(error.to_string());
+                skipped.push(LeftOut::from(&recording.skipped(&error)));
             }
         }
     }

@@ -186,7 +186,8 @@ fn who_cannot_be_calibrated_is_left_out_with_the_reason() {
     }
     let scores = recorder.score(1).unwrap();
     assert_eq!(scores.people, [PersonId::Number(1)].into());
-    let reasons = scores.skipped.join("\n");
+    let reasons: Vec<String> = scores.skipped.iter().map(ToString::to_string).collect();
+    let reasons = reasons.join("\n");
     assert!(reasons.contains("person 2: ") && reasons.contains("rest"), "{reasons}");
     assert!(reasons.contains("person 3: "), "{reasons}");
 

@@ -101,7 +101,7 @@ fn people_in(folder: &Path, labels: &str) -> Vec<PersonRecordings> {
     fs::write(folder.join("labels.csv"), labels).unwrap();
     let found = list(&settings(), &[folder.to_owned()]).unwrap();
     let (people, skipped) = with_trials(&settings(), found.recordings);
-    assert_eq!(skipped, Vec::<String>::new());
+    assert_eq!(skipped, []);
     people
 }
 

@@ -50,6 +50,8 @@ pub struct Settings {
     pub jobs: usize,
     /// Whether models that are missing are trained.
     pub trains: bool,
+    /// Whether data sets and models of other recordings or settings, which an earlier run left in the folder, are replaced.
+    pub replaces: bool,
     /// Whether live sessions are run.
     pub runs_live: bool,
     /// ONNX Runtime's shared library.
@@ -249,8 +251,12 @@ impl Run<'_> {
         }
         self.say(format!("data set {}", plan.name));
         let test_people = self.source.test_people.clone();
-        let building =
-            BuildSettings { test_people, provenance: self.provenance.clone(), ..BuildSettings::default() };
+        let building = BuildSettings {
+            test_people,
+            replaces: self.settings.replaces,
+            provenance: self.provenance.clone(),
+            ..BuildSettings::default()
+        };
         let mut progress = |progress: tendon_dataset::Progress<'_>| {
             (self.on_event)(Event::Dataset(progress));
             ControlFlow::Continue(())
@@ -330,7 +336,7 @@ impl Run<'_> {
             .collect();
         let first = recordings.first().cloned();
         let (usable, skipped) = with_trials(&settings, recordings);
-        results.missing.extend(skipped);
+        results.missing.extend(skipped.iter().map(ToString::to_string));
         for strategy in Strategy::ALL {
             pipeline_settings.decision.strategy = strategy;
             let mut pipeline = models.pipeline(&self.settings.runtime_library, &pipeline_settings)?;

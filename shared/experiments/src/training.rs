@@ -124,7 +124,7 @@ pub(crate) fn train_all(
                 loop {
                     let taken = next.lock().unwrap_or_else(PoisonError::into_inner).next();
                     let Some(training) = taken else { break };
-                    let result = train(script, training, out);
+                    let result = train(script, training, out, settings.replaces);
                     let failed = result.is_err();
                     // Nobody listens any more once a training has failed.
                     if finished.send((training.name(), result)).is_err() || failed {
@@ -144,7 +144,12 @@ pub(crate) fn train_all(
 }
 
 /// Runs one training; how long it took.
-fn train(script: &Path, training: &Training, out: &Path) -> Result<Duration, ExperimentError> {
+fn train(
+    script: &Path,
+    training: &Training,
+    out: &Path,
+    replaces: bool,
+) -> Result<Duration, ExperimentError> {
     let start = Instant::now();
     let log_path = out.join("logs").join(training.name() + ".txt");
     let unwritable = |reason| ExperimentError::Write { path: log_path.clone(), reason };
@@ -157,6 +162,7 @@ fn train(script: &Path, training: &Training, out: &Path) -> Result<Duration, Exp
         .arg(model_path(out, training))
         .args(["--network", training.model.network, "--classes", training.model.classes, "--threads", "1"])
         .args(["--epochs", &training.epochs.to_string(), "--seed", &training.seed.to_string()])
+        .args(replaces.then_some("--force"))
         .stdin(Stdio::null())
         .stdout(log)
         .stderr(errors)
@@ -187,6 +193,9 @@ mod tests {
         Manifest {
             settings: DatasetSettings::default(),
             data_set: Some("3DC".to_owned()),
+            classes: Vec::new(),
+            channel_names: Vec::new(),
+            unit: String::new(),
             windows: 0,
             windows_per_gesture: BTreeMap::new(),
             windows_per_person: BTreeMap::new(),
@@ -205,6 +214,7 @@ mod tests {
             training_statistics: TrainingStatistics::default(),
             recordings: Vec::new(),
             skipped: Vec::new(),
+            skipped_by_kind: BTreeMap::new(),
             notices: Vec::new(),
             provenance: Default::default(),
         }

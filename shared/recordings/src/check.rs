@@ -83,8 +83,8 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         duration_s: samples as f64 / sample_rate_hz,
         file_channels: source.file_channels(),
         channels: source.chosen(),
-        cues,
         unit: source.unit().to_owned(),
+        cues,
         notices,
     })
 }

@@ -7,6 +7,7 @@ use tendon_signal::DesignError;
 
 use crate::mat::MatError;
 use crate::recorder::RecorderError;
+use crate::signals::SignalsError;
 use crate::table::{TableError, TableProblem};
 
 /// A recording that cannot be read. Each message says where and what to do.
@@ -22,7 +23,7 @@ pub enum RecordingError {
     },
     /// A path without a known layout.
     #[error(
-        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file \
+        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file .edf, .bdf or .xdf, a file \
          3dc_EMG_gesture_R_G.txt, or the EMG folder that holds such files",
         .path.display()
     )]
@@ -103,6 +104,14 @@ pub enum RecordingError {
         /// What is wrong with it.
         error: MatError,
     },
+    /// A file of samples that describes itself, and cannot be read.
+    #[error("{} {error}", .file.display())]
+    Signals {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        error: SignalsError,
+    },
     /// A channel chosen by name where channels have none.
     #[error("{} has no channel names: choose `{name}` by its number, counted from 0", .file.display())]
     NamedChannel {
@@ -135,6 +144,9 @@ impl RecordingError {
                 )
             }
             RecordingError::Mat { error, .. } => matches!(error, MatError::NoColumn { .. }),
+            RecordingError::Signals { error, .. } => {
+                matches!(error, SignalsError::Channel(TableProblem::MissingChannel { .. }))
+            }
             _ => false,
         }
     }
@@ -144,6 +156,7 @@ impl RecordingError {
         let (file, problem) = match self {
             RecordingError::Table { file, error } => (file, error.to_string()),
             RecordingError::Mat { file, error } => (file, error.to_string()),
+            RecordingError::Signals { file, error } => (file, error.to_string()),
             other => return other.to_string(),
         };
         match file.strip_prefix(path) {
@@ -159,6 +172,10 @@ impl RecordingError {
 
     pub(crate) fn mat(file: &Path) -> impl Fn(MatError) -> RecordingError + '_ {
         |error| RecordingError::Mat { file: file.to_owned(), error }
+    }
+
+    pub(crate) fn signals(file: &Path) -> impl FnOnce(SignalsError) -> RecordingError + '_ {
+        |error| RecordingError::Signals { file: file.to_owned(), error }
     }
 
     pub(crate) fn open(path: &Path) -> impl FnOnce(io::Error) -> RecordingError + '_ {

@@ -20,7 +20,8 @@ use std::path::{Path, PathBuf};
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
 
-use crate::segment::{Segment, SkippedEntry};
+use crate::segment::{Segment, SkippedEntry, SkippedKind};
+use crate::signals::is_signals;
 
 pub use problem::{LabelsError, LabelsProblem};
 
@@ -192,7 +193,7 @@ impl LabelsOfFiles {
             }
             Err(error) => {
                 let reason = format!("{FILE_NAME}, line {line}: {error}");
-                skipped.push(SkippedEntry { path: file, reason });
+                skipped.push(SkippedEntry { path: file, kind: SkippedKind::OtherGesture, reason });
             }
         }
         Ok(())
@@ -211,8 +212,9 @@ impl LabelsOfFiles {
             if let Err(error) = tendon_input::open(&file) {
                 let is_missing = error.kind() == ErrorKind::NotFound;
                 let problem = if is_missing { "there is no such file".to_owned() } else { error.to_string() };
+                let kind = if is_missing { SkippedKind::NotThere } else { SkippedKind::Unreadable };
                 let reason = format!("{FILE_NAME}, line {line}, names it, but {problem}");
-                skipped.push(SkippedEntry { path: file, reason });
+                skipped.push(SkippedEntry { path: file, kind, reason });
                 continue;
             }
             labels.sort_by_key(|label| label.start_sample);
@@ -286,11 +288,26 @@ fn list_unlabelled(
     for path in paths {
         if path.is_dir() && !path.is_symlink() {
             list_unlabelled(&path, labels_path, labels_of, skipped);
-        } else if is_table(&path) && path != labels_path && !labels_of.contains_key(&path) {
+        } else if (is_table(&path) || is_signals(&path))
+            && path != labels_path
+            && !labels_of.contains_key(&path)
+        {
             let reason = format!("{} has no label for it", labels_path.display());
-            skipped.push(SkippedEntry { path, reason });
+            skipped.push(SkippedEntry { path, kind: SkippedKind::NoLabel, reason });
         }
     }
+}
+
+/// Whose a recording is and of which session, by its name: `sub-anna_ses-2_task-grasp_emg.bdf` is of `anna`, as BIDS and LabRecorder
+/// name files, any other of the person whose name its folder has. `None` if neither is the name of a person.
+pub fn origin_of_name(path: &Path) -> Option<(PersonId, String)> {
+    let stem = path.file_stem()?.to_str()?;
+    let named = |name: &str| name.to_ascii_lowercase().parse().ok();
+    if let Some((person, session)) = stem.strip_prefix("sub-").and_then(|rest| rest.split_once('_')) {
+        return Some((named(person)?, session.to_owned()));
+    }
+    let folder = path.canonicalize().ok()?;
+    Some((named(folder.parent()?.file_name()?.to_str()?)?, stem.to_owned()))
 }
 
 /// Whether a file's name is that of a table.

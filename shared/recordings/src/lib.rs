@@ -3,7 +3,7 @@
 //! ```text
 //! file ─▶ memory map ─▶ table (line by line) ─┐
 //! file ─▶ memory map ─▶ table                ─┴▶ source: frames + cue ─▶ replay: blocks at the session's rate
-//! MAT-file ─▶ columns ──────────────────────────▶   │
+//! MAT-file, EDF, BDF, XDF ─▶ columns ───────────▶   │
 //!                                                   └─▶ check: the whole recording read once, refused or summed up
 //! ```
 //! A recording is one text file with a line a sample and a column a channel, or several that follow on
@@ -14,10 +14,12 @@
 //!
 //! [`Recorder`] writes tables with labels.
 //!
-//! Nothing is allocated a sample once a recording is open, and memory use does not grow with its length.
+//! Nothing is allocated a sample once a recording is open, and memory use does not grow with the length of a table. Of other files
+//! the chosen channels come into memory.
 #![deny(unsafe_code)]
 
 mod check;
+pub mod edf;
 mod error;
 pub mod labels;
 mod mapped;
@@ -27,14 +29,17 @@ pub mod ozdemir;
 mod recorder;
 mod replay;
 mod segment;
+mod signals;
 mod source;
 pub mod table;
 pub mod three_dc;
+pub mod xdf;
 
 pub use check::{CueSpan, Summary, check};
 pub use error::RecordingError;
 pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, SimulatedFrom};
 pub use replay::{ReplayBlock, ReplayStream};
-pub use segment::{Notice, Segment, SkippedEntry};
+pub use segment::{Notice, Segment, SkippedEntry, SkippedKind};
+pub use signals::{Cue, Gap, Signals, SignalsError, is_signals};
 pub use source::{Frame, RecordingSettings, RecordingSource, first_muscles, muscles};
 pub use table::{Channel, ColumnKind};

@@ -17,7 +17,7 @@ use tendon_gesture::Gesture;
 use crate::error::RecordingError;
 use crate::mat::MatFile;
 use crate::segment::Segment;
-use crate::source::RecordingSource;
+use crate::source::{Columns, RecordingSource};
 use crate::table::Channel;
 
 /// Name of the data set, in which its people have their numbers.
@@ -104,7 +104,10 @@ pub fn open(
     if !(sample_rate_hz.is_finite() && sample_rate_hz > 0.0) {
         return Err(tendon_signal::DesignError::SampleRate(sample_rate_hz).into());
     }
-    let columns = mat.columns("data", &numbers).map_err(RecordingError::mat(file))?;
+    let (_, file_columns) = mat.shape("data").map_err(RecordingError::mat(file))?;
+    let names = (0..file_columns).map(|column| column.to_string()).collect();
+    let samples = mat.columns("data", &numbers).map_err(RecordingError::mat(file))?;
+    let columns = Columns { samples, chosen: numbers, names, unit: "mV".to_owned() };
     Ok(RecordingSource::of_columns(columns, segments(file, sample_rate_hz), sample_rate_hz))
 }
 

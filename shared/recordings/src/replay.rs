@@ -429,10 +429,16 @@ mod tests {
 
     use super::*;
     use crate::segment::Segment;
+    use crate::source::Columns;
 
     /// Tones from 20 to 450 Hz, each with a phase of its own, at time `time_s`.
     fn tones(time_s: f64) -> f64 {
         (2..=45).map(|tone| (TAU * 10.0 * f64::from(tone) * time_s + f64::from(tone * tone)).cos()).sum()
+    }
+
+    /// One channel in memory.
+    fn one(samples: Vec<f32>) -> Columns {
+        Columns { samples: vec![samples], chosen: vec![0], names: vec!["0".to_owned()], unit: String::new() }
     }
 
     fn stream(from_hz: f64, to_hz: f64, seconds: f64) -> ReplayStream {
@@ -445,7 +451,7 @@ mod tests {
             end_sample: None,
             samples_lost_before: 0,
         };
-        let source = RecordingSource::of_columns(vec![column], vec![segment], from_hz);
+        let source = RecordingSource::of_columns(one(column), vec![segment], from_hz);
         ReplayStream::of(source, to_hz, 10).unwrap()
     }
 
@@ -546,7 +552,7 @@ mod tests {
                     samples_lost_before: *lost,
                 }
             });
-            let source = RecordingSource::of_columns(vec![samples], segments.collect(), 1000.0);
+            let source = RecordingSource::of_columns(one(samples), segments.collect(), 1000.0);
             let mut stream = ReplayStream::of(source, rate_hz, 5).unwrap();
             let mut block = [0.0; 5];
             let mut starts = Vec::new();
@@ -584,7 +590,7 @@ mod tests {
         };
         let samples: Vec<f32> = (0..50).map(|sample| sample as f32).collect();
         let segments = vec![segment(Some(20), 0), segment(None, 7)];
-        let source = RecordingSource::of_columns(vec![samples], segments, 1000.0);
+        let source = RecordingSource::of_columns(one(samples), segments, 1000.0);
         let mut stream = ReplayStream::of(source, 2000.0, 1).unwrap();
         let mut piece = Vec::new();
         let mut pieces = Vec::new();

@@ -1,5 +1,6 @@
 //! The parts that a recording is made of, and what is known about each.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -91,6 +92,43 @@ pub enum Notice {
         /// The value.
         value: f32,
     },
+    /// A file was not ended by whoever wrote it.
+    CutOff {
+        /// The file.
+        file: PathBuf,
+        /// What it holds.
+        read: String,
+    },
+    /// Parts of a file could not be understood.
+    PartsDamaged {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Channels of a file that are not read with the others.
+    OtherRates {
+        /// The file.
+        file: PathBuf,
+        /// The channels.
+        channels: Vec<String>,
+        /// Rate of those that are read, in Hz.
+        sample_rate_hz: f64,
+    },
+    /// The time stamps of a file contradict its rate.
+    OtherRateFound {
+        /// The file.
+        file: PathBuf,
+        /// The rate that it states, in Hz.
+        stated_hz: f64,
+        /// The rate of its time stamps, in Hz.
+        found_hz: f64,
+    },
+    /// Samples that are no finite number.
+    SamplesMissing {
+        /// The file.
+        file: PathBuf,
+        /// How many.
+        samples: u64,
+    },
     /// No ratio of small numbers leads from the rate of the recording to that of the session.
     RateApproximated {
         /// Rate of the recording.
@@ -143,6 +181,30 @@ impl fmt::Display for Notice {
                 "{}: channel {channel} was constant ({value}): is its electrode connected?",
                 path.display()
             ),
+            Notice::CutOff { file, read } => write!(
+                formatter,
+                "{}: the file was cut off or not closed; what it holds was read: {read}",
+                file.display()
+            ),
+            Notice::PartsDamaged { file } => {
+                write!(formatter, "{}: parts of the file are damaged and were passed over", file.display())
+            }
+            Notice::OtherRates { file, channels, sample_rate_hz } => write!(
+                formatter,
+                "{}: passed over because their rate is not {sample_rate_hz:.3} Hz: {}",
+                file.display(),
+                channels.join(", ")
+            ),
+            Notice::OtherRateFound { file, stated_hz, found_hz } => write!(
+                formatter,
+                "{}: it says {stated_hz} Hz, but its time stamps say {found_hz:.3} Hz, which is taken",
+                file.display()
+            ),
+            Notice::SamplesMissing { file, samples } => write!(
+                formatter,
+                "{}: {samples} samples are no finite number in one of the channels and are taken as missing",
+                file.display()
+            ),
             Notice::RateApproximated { from_hz, to_hz, up, down, error_ppm } => write!(
                 formatter,
                 "{from_hz} Hz is brought to {to_hz} Hz by the ratio {up}/{down}, {:.3} ppm off: {:.1} ms in an hour",
@@ -157,12 +219,80 @@ fn places(count: u64) -> String {
     if count == 1 { "1 place".to_owned() } else { format!("{count} places") }
 }
 
+/// Why something is left out, to sum it up by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SkippedKind {
+    /// A trial of a gesture that is not asked for, or has no name.
+    OtherGesture,
+    /// A table of which nothing says what it shows.
+    NoLabel,
+    /// A file that labels name, but that is not there.
+    NotThere,
+    /// A recording that cannot be read.
+    Unreadable,
+    /// A recording without a trial.
+    NoTrial,
+    /// A trial that its file does not hold to the end.
+    CutOff,
+    /// A trial too short for a window.
+    TooShort,
+    /// A trial too long to be held in memory.
+    TooLong,
+    /// A trial with samples that no amplifier delivers.
+    Faulty,
+    /// A recording that was given twice.
+    Twice,
+    /// A file that lies beside recordings and is none.
+    OtherFile,
+    /// A person who cannot be calibrated or scored.
+    Person,
+    /// Nothing: a word about a recording that was used.
+    Notice,
+    /// Anything else.
+    #[default]
+    Other,
+}
+
+impl SkippedKind {
+    /// So many of this kind, in words: `3 files without labels`.
+    pub fn counted(self, count: usize) -> String {
+        let (one, several) = match self {
+            SkippedKind::OtherGesture => ("trial of another gesture", "trials of other gestures"),
+            SkippedKind::NoLabel => ("file without labels", "files without labels"),
+            SkippedKind::NotThere => ("file that is not there", "files that are not there"),
+            SkippedKind::Unreadable => ("recording that cannot be read", "recordings that cannot be read"),
+            SkippedKind::NoTrial => ("recording without trials", "recordings without trials"),
+            SkippedKind::CutOff => ("trial that is cut off", "trials that are cut off"),
+            SkippedKind::TooShort => ("trial too short for a window", "trials too short for a window"),
+            SkippedKind::TooLong => ("trial that is too long", "trials that are too long"),
+            SkippedKind::Faulty => ("trial with faulty samples", "trials with faulty samples"),
+            SkippedKind::Twice => ("recording given twice", "recordings given twice"),
+            SkippedKind::OtherFile => ("file that is no recording", "files that are no recordings"),
+            SkippedKind::Person => ("person", "people"),
+            SkippedKind::Notice => ("notice about a recording", "notices about recordings"),
+            SkippedKind::Other => ("other", "others"),
+        };
+        format!("{count} {}", if count == 1 { one } else { several })
+    }
+
+    /// How many there are of each kind.
+    pub fn count(kinds: impl IntoIterator<Item = SkippedKind>) -> BTreeMap<SkippedKind, usize> {
+        let mut counts = BTreeMap::new();
+        kinds.into_iter().for_each(|kind| *counts.entry(kind).or_default() += 1);
+        counts
+    }
+}
+
 /// A file, a part of one, or a whole recording that was left out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SkippedEntry {
     /// The file, or the folder of the recording.
     #[serde(serialize_with = "as_displayed")]
     pub path: PathBuf,
+    /// Why, in short; of an earlier version [`SkippedKind::Other`].
+    #[serde(default)]
+    pub kind: SkippedKind,
     /// Why.
     pub reason: String,
 }

@@ -9,6 +9,7 @@ use crate::error::RecordingError;
 use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
+use crate::signals::{Signals, is_signals};
 use crate::table::{self, Channel, ColumnKind, Row, Table, TableError, TimingRemark};
 use crate::three_dc;
 
@@ -46,8 +47,6 @@ pub struct RecordingSource {
     segments: Vec<Segment>,
     notices: Vec<Notice>,
     sample_rate_hz: f64,
-    /// Of the chosen channels; empty if it is not known.
-    unit: String,
     channels: usize,
     samples: Samples,
     /// The segment of the last frame.
@@ -76,10 +75,23 @@ struct Missing {
 /// Where the samples are.
 #[derive(Debug)]
 enum Samples {
-    /// In a text file, the one of the current segment.
-    Table { table: Table, text: Text },
+    /// In a text file, the one of the current segment, with the unit that it states.
+    Table { table: Table, text: Text, unit: String },
     /// In memory: the chosen channels, all of the same length.
-    Columns(Vec<Vec<f32>>),
+    Columns(Columns),
+}
+
+/// Channels that have been loaded.
+#[derive(Debug)]
+pub(crate) struct Columns {
+    /// The chosen ones.
+    pub(crate) samples: Vec<Vec<f32>>,
+    /// Their numbers in the file.
+    pub(crate) chosen: Vec<usize>,
+    /// All channels of the file by name, or by number from 0.
+    pub(crate) names: Vec<String>,
+    /// Unit of the samples; empty if it is not known.
+    pub(crate) unit: String,
 }
 
 /// The text of a table that is read: of a recording that Tendon made, whole lines only.
@@ -131,12 +143,19 @@ impl RecordingSource {
     /// |---|---|
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
+    /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
     /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at the rate that it tells, that a `session.toml` of Tendon beside it states, or `settings.sample_rate_hz` |
     ///
     /// # Errors
     /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
     /// wrong further on shows when it is read: [`check()`](crate::check()) reads all of it.
     pub fn open(path: &Path, settings: &RecordingSettings) -> Result<RecordingSource, RecordingError> {
+        if is_signals(path) && !path.is_dir() {
+            if settings.repetition.is_some() {
+                return Err(RecordingError::RepetitionOfFile { file: path.to_owned() });
+            }
+            return RecordingSource::of_signals(path, None, &settings.channels, settings.sample_rate_hz);
+        }
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
         let given_hz = settings.sample_rate_hz;
@@ -145,7 +164,7 @@ impl RecordingSource {
             let (text, _) = Text::open(&segments[0].file)?;
             let table = Table::open(text.bytes(), &settings.channels);
             let table = table.map_err(RecordingError::table(&segments[0].file))?;
-            let samples = Samples::Table { table, text };
+            let samples = Samples::Table { table, text, unit: String::new() };
             RecordingSource::of(samples, settings.channels.len(), segments, Vec::new(), sample_rate_hz)
         } else {
             let recorded_hz = RecordedSession::beside(path)?.map(|session| session.sample_rate_hz);
@@ -186,7 +205,7 @@ impl RecordingSource {
             }));
             let units = chosen.iter().map(|column| &columns[*column].unit);
             let common = units.clone().next().filter(|first| units.clone().all(|unit| unit == *first));
-            unit = common.map(|unit| tendon_signal::canonical_unit(unit).to_owned()).unwrap_or_default();
+            unit = common.cloned().unwrap_or_default();
             let timing = table.watch_time(text.bytes(), &columns).map_err(RecordingError::table(file))?;
             own_hz = timing.rate_hz;
             let is_guess = matches!(timing.remark, Some(TimingRemark::TakenAsMilliseconds { .. }));
@@ -198,20 +217,48 @@ impl RecordingSource {
         }
         let is_given = |hz: f64| given_hz.is_some_and(|given| table::is_same_rate(given, hz));
         let sample_rate_hz = sample_rate(file, own_hz.filter(|hz| !is_given(*hz)), given_hz)?;
-        let samples = Samples::Table { table, text };
-        let mut source = RecordingSource::of(samples, channels.len(), segments, notices, sample_rate_hz);
-        source.unit = unit;
+        let samples = Samples::Table { table, text, unit };
+        Ok(RecordingSource::of(samples, channels.len(), segments, notices, sample_rate_hz))
+    }
+
+    /// Opens the file at `path`, which describes itself (see [`is_signals`]), divided by its own cues, or as `segments` of it say.
+    /// `given_hz` is the rate the user says, if any: it serves as a check.
+    ///
+    /// # Errors
+    /// When the file cannot be read, lacks a channel, or has another rate than `given_hz`.
+    pub fn of_signals(
+        path: &Path,
+        segments: Option<Vec<Segment>>,
+        channels: &[Channel],
+        given_hz: Option<f64>,
+    ) -> Result<RecordingSource, RecordingError> {
+        /// So much the rates of one amplifier's sheet and of its files may differ.
+        const TOLERANCE: f64 = 0.01;
+        let signals = Signals::read(path, channels)?;
+        let actual_hz = signals.sample_rate_hz;
+        let fits = |given_hz: &f64| (1.0 - TOLERANCE..=1.0 + TOLERANCE).contains(&(given_hz / actual_hz));
+        if let Some(given_hz) = given_hz.filter(|given_hz| !fits(given_hz)) {
+            return Err(RecordingError::SampleRateDiffers { path: path.to_owned(), actual_hz, given_hz });
+        }
+        let segments = match segments {
+            Some(segments) => signals.divide(segments),
+            None => signals.segments(path),
+        };
+        let Signals { columns: samples, chosen, names, unit, notices, .. } = signals;
+        let columns = Columns { samples, chosen, names, unit };
+        let mut source = RecordingSource::of_columns(columns, segments, actual_hz);
+        source.notices = notices;
         Ok(source)
     }
 
     /// A recording that has been loaded: its channels, all of the same length, which are one file's that
     /// `segments`, at least one, divide.
     pub(crate) fn of_columns(
-        columns: Vec<Vec<f32>>,
+        columns: Columns,
         segments: Vec<Segment>,
         sample_rate_hz: f64,
     ) -> RecordingSource {
-        let channels = columns.len();
+        let channels = columns.samples.len();
         let samples = Samples::Columns(columns);
         RecordingSource::of(samples, channels, segments, Vec::new(), sample_rate_hz)
     }
@@ -234,7 +281,6 @@ impl RecordingSource {
             position: 0,
             lost_samples,
             missing: Missing::default(),
-            unit: String::new(),
         }
     }
 
@@ -246,11 +292,6 @@ impl RecordingSource {
     /// Sampling rate in Hz.
     pub fn sample_rate_hz(&self) -> f64 {
         self.sample_rate_hz
-    }
-
-    /// The unit of the chosen channels, in its canonical spelling; empty if the file does not state one for all.
-    pub fn unit(&self) -> &str {
-        &self.unit
     }
 
     /// Chosen channels: the length of a frame.
@@ -267,7 +308,26 @@ impl RecordingSource {
     pub fn file_channels(&self) -> usize {
         match &self.samples {
             Samples::Table { table, .. } => table.columns(),
-            Samples::Columns(columns) => columns.len(),
+            Samples::Columns(columns) => columns.names.len(),
+        }
+    }
+
+    /// All columns of the current file, chosen or not: by name where it gives one, else by number from 0.
+    pub fn file_names(&self) -> Vec<String> {
+        match &self.samples {
+            Samples::Table { table, .. } if table.names().is_empty() => {
+                (0..table.columns()).map(|column| column.to_string()).collect()
+            }
+            Samples::Table { table, .. } => table.names().to_vec(),
+            Samples::Columns(columns) => columns.names.clone(),
+        }
+    }
+
+    /// Unit of the chosen channels in the file's words; empty if the file does not state one for all.
+    pub fn unit(&self) -> &str {
+        match &self.samples {
+            Samples::Table { unit, .. } => unit,
+            Samples::Columns(columns) => &columns.unit,
         }
     }
 
@@ -275,7 +335,9 @@ impl RecordingSource {
     pub fn chosen(&self) -> Vec<String> {
         match &self.samples {
             Samples::Table { table, .. } => table.chosen(),
-            Samples::Columns(columns) => (0..columns.len()).map(|column| column.to_string()).collect(),
+            Samples::Columns(Columns { chosen, names, .. }) => {
+                chosen.iter().map(|number| names[*number].clone()).collect()
+            }
         }
     }
 
@@ -348,8 +410,8 @@ impl RecordingSource {
     fn read_rows(&mut self, frames: &mut [f32], wanted: usize) -> Rows {
         let mut rows = Rows { lines: 0, samples: 0, samples_lost_before: 0, problem: None };
         let (table, text) = match &mut self.samples {
-            Samples::Table { table, text } => (table, text),
-            Samples::Columns(columns) => {
+            Samples::Table { table, text, .. } => (table, text),
+            Samples::Columns(Columns { samples: columns, .. }) => {
                 let position = self.position as usize;
                 let left = columns.first().map_or(0, |column| column.len() - position);
                 let frames = frames.chunks_exact_mut(self.channels).take(wanted);
@@ -427,7 +489,7 @@ impl RecordingSource {
 
     fn open_next_segment(&mut self) -> Result<(), RecordingError> {
         let path = &self.segments[self.segment + 1].file;
-        if let Samples::Table { table, text } = &mut self.samples {
+        if let Samples::Table { table, text, .. } = &mut self.samples {
             let (next, notice) = Text::open(path)?;
             table.continue_with(next.bytes()).map_err(RecordingError::table(path))?;
             *text = next;
@@ -464,6 +526,14 @@ fn muscles_of(
     path: &Path,
     choose: impl FnOnce(&[table::Column]) -> Result<Vec<Channel>, TableError>,
 ) -> Result<Vec<Channel>, RecordingError> {
+    if is_signals(path) {
+        let names = RecordingSource::open(
+            path,
+            &RecordingSettings { channels: vec![0.into()], ..RecordingSettings::default() },
+        )?
+        .file_names();
+        return choose(&table::columns_by_name(&names)).map_err(RecordingError::table(path));
+    }
     // What is no table is refused in its own words.
     segments(path, &RecordingSettings::default(), &mut Vec::new())?;
     let (text, _) = Text::open(path)?;

@@ -25,6 +25,7 @@ mod head;
 mod problem;
 
 pub use channel::Channel;
+pub(crate) use channel::places;
 pub use column::{Column, ColumnKind};
 pub use problem::{Rate, TableError, TableProblem};
 
@@ -33,7 +34,6 @@ use std::fmt;
 use cells::{
     Cells, Line, Separator, excerpt, is_missing, is_text, line_at, number, sample, text_start, unusual_sample,
 };
-use channel::places;
 use clock::{Clock, Measured};
 use column::{Shape, kind_of};
 use head::Head;
@@ -174,6 +174,15 @@ pub fn columns(text: &[u8]) -> Result<Vec<Column>, TableError> {
     Ok(shapes.iter().enumerate().map(column).collect())
 }
 
+/// What channels are, of which only the names are known.
+pub(crate) fn columns_by_name(names: &[String]) -> Vec<Column> {
+    let column = |name: &String| {
+        let kind = kind_of(name, "", &Shape::default());
+        Column { name: name.clone(), unit: String::new(), rate_hz: None, kind }
+    };
+    names.iter().map(column).collect()
+}
+
 /// The first `count` columns of a table that are muscles, of one rate, by name where that is unique, else by number.
 ///
 /// # Errors
@@ -265,7 +274,7 @@ impl Table {
             (0..column).rev().find(is_time).or_else(|| (0..columns.len()).find(is_time))
         };
         let mut timing = Timing { rate_hz: stated_hz, remark: None };
-        let time = chosen.first().and_then(|first| time_of(*first)).filter(|time| !chosen.contains(time));
+        let time = chosen.first().and_then(|first| time_of(*first));
         let measured = time.and_then(|time| Some((time, measure(time)?)));
         if let Some((time, measured)) = measured {
             let rate_of = |column| measure(time_of(column)?)?.rate_hz(&columns[time_of(column)?].unit);
@@ -292,7 +301,7 @@ impl Table {
             self.clock = Some(measured.clock);
         } else {
             let counter = (0..columns.len()).find(|index| columns[*index].kind == ColumnKind::Counter);
-            self.clock = counter.filter(|counter| !chosen.contains(counter)).and_then(|counter| {
+            self.clock = counter.and_then(|counter| {
                 Measured::of_counter(text, self.position, self.separator, counter, self.has_comma)
             });
             timing.remark = time.map(|time| TimingRemark::Bursts { column: self.name(time) });

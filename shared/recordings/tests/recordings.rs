@@ -294,6 +294,39 @@ fn replay_keeps_samples_and_cues_together_at_every_rate() {
 }
 
 #[test]
+fn files_that_describe_themselves_are_opened_by_their_names() {
+    let golden = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    let with = |channels: &[&str], sample_rate_hz| RecordingSettings {
+        channels: channels.iter().map(|name| Channel::from(*name)).collect(),
+        sample_rate_hz,
+        repetition: None,
+    };
+    let bdf = check(&golden("delsys.bdf"), &with(&["EMG extensor", "EMG flexor"], Some(1926.0))).unwrap();
+    assert_eq!((bdf.samples, bdf.file_channels, bdf.unit.as_str()), (1040, 2, "uV"));
+    assert_eq!(bdf.channels, ["EMG extensor", "EMG flexor"]);
+    let cues: Vec<_> =
+        bdf.cues.iter().map(|span| (span.segment.cue.map(|cue| cue.to_string()), span.samples)).collect();
+    let named = |name: &str| Some(name.to_owned());
+    assert_eq!(cues, [(None, 193), (named("fist"), 260), (None, 125), (named("rest"), 462)]);
+    assert!(bdf.notices.iter().any(|notice| notice.to_string().contains("is not 1925.926 Hz: ACC X")));
+
+    let xdf = golden("streams.xdf");
+    let read = check(&xdf, &with(&["flexor"], None)).unwrap();
+    let lost: u64 = read.cues.iter().map(|span| span.segment.samples_lost_before).sum();
+    assert_eq!(
+        (read.samples, read.sample_rate_hz, read.unit.as_str(), lost),
+        (600, 200.0, "microvolts", 600)
+    );
+    let refused = |settings: &RecordingSettings| RecordingSource::open(&xdf, settings).unwrap_err();
+    let error = refused(&with(&["flexor"], Some(250.0)));
+    assert!(matches!(error, RecordingError::SampleRateDiffers { .. }), "{error}");
+    let error = refused(&RecordingSettings { repetition: Some(0), ..with(&["flexor"], None) });
+    assert!(matches!(error, RecordingError::RepetitionOfFile { .. }), "{error}");
+    let error = refused(&RecordingSettings { channels: vec![7.into()], ..with(&[], None) });
+    assert!(error.is_missing_channel(), "{error}");
+}
+
+#[test]
 fn replay_refuses_rates_and_blocks_it_cannot_make() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = write_three_dc(temporary.path(), &[(0, 0, 7)]);

@@ -127,7 +127,8 @@ fn recognised_in(
     let found = list(&settings, &[folder.to_owned()])?;
     let mut skipped = Vec::new();
     let windows = PersonWindows::read(&settings, &found.recordings, &mut skipped);
-    ensure!(!windows.origins().is_empty(), "no window was recorded: {}", skipped.join("; "));
+    let reasons: Vec<String> = skipped.iter().map(ToString::to_string).collect();
+    ensure!(!windows.origins().is_empty(), "no window was recorded: {}", reasons.join("; "));
     recognised(person, &windows)
 }
 

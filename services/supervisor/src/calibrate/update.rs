@@ -13,7 +13,7 @@ use anyhow::{Context, ensure};
 use serde::Serialize;
 use tendon_config::Config;
 use tendon_dataset::list;
-use tendon_evaluation::PersonWindows;
+use tendon_evaluation::{LeftOut, PersonWindows};
 use tendon_guide::GuideSettings;
 use tendon_people::{ChannelShift, Person};
 use tendon_provenance::Provenance;
@@ -66,7 +66,7 @@ pub fn update(person: &Person, config: &Config, folder: &Path, begun: &Provenanc
     let recorded = RecordedSession::read(folder)?.context("the recording's description is gone")?;
     let settings = recorded_settings(config, &recorded);
     let found = list(&settings, &[folder.to_owned()])?;
-    let mut skipped: Vec<String> = found.skipped.iter().map(ToString::to_string).collect();
+    let mut skipped: Vec<LeftOut> = found.skipped.iter().map(LeftOut::from).collect();
     let windows = PersonWindows::read(&settings, &found.recordings, &mut skipped);
     let begin = Instant::now();
     let made = || {

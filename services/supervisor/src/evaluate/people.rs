@@ -112,7 +112,7 @@ pub(super) fn text(options: &Options, dataset: &DatasetSettings, scores: &Person
     text += &format!("with what {} others have in common: {}\n", scores.prior_people, scores.prior_from);
     text += &format!("\n{}\n", scores.evaluation);
     if !scores.skipped.is_empty() {
-        text += &format!("{}\n", left_out(&scores.skipped, "recordings, trials or people"));
+        text += &format!("{}\n", left_out(&scores.skipped));
     }
     text += &format!("the calibrations alone expected {:.4}\n", scores.expected_accuracy);
     text += &format!("longest calibration {:.2} s", scores.longest_fit_s);

@@ -4,7 +4,7 @@ use anyhow::anyhow;
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, Layout};
 use tendon_evaluation::{
-    Calibrating, OnProgress, PersonRecordings, SCORED_SESSION, StrategyScores, calibrate_person,
+    Calibrating, LeftOut, OnProgress, PersonRecordings, SCORED_SESSION, StrategyScores, calibrate_person,
     gather_cohort, score_personal,
 };
 use tendon_features::{Cohort, MethodSettings};
@@ -56,7 +56,7 @@ pub fn calibrate(
     channels: &[Channel],
     layout: Layout,
     recordings: Vec<PersonRecordings>,
-    skipped: &mut Vec<String>,
+    skipped: &mut Vec<LeftOut>,
 ) -> Result<People, Failure> {
     let config = personal_windows(config.clone(), options.sets(WINDOWS));
     let method = MethodSettings::default();
@@ -80,14 +80,14 @@ pub fn calibrate(
         }
     }
     if !fitted.people.is_empty() {
-        skipped.extend(reasons);
+        skipped.extend(reasons.into_iter().map(LeftOut::person));
         return Ok(fitted);
     }
     let reason = reasons.first().map_or("there are no recordings", String::as_str);
     if options.strategy.is_some() || options.calibrate_repetitions.is_some() {
         return Err(Failure::input(anyhow!("nobody can be calibrated: {reason}")));
     }
-    skipped.push(format!("the personal strategy is not scored: {reason}"));
+    skipped.push(LeftOut::person(format!("the personal strategy is not scored: {reason}")));
     others.iter_mut().for_each(PersonRecordings::hold_nothing_back);
     Ok(People::uncalibrated(others))
 }

@@ -23,8 +23,8 @@ pub enum ListingError {
     /// A path without recordings.
     #[error(
         "{}: no recordings found{hint}; give folders ParticipantP/train/EMG or ParticipantP/test/EMG (3DC), files \
-         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), a folder with tables and a labels.csv, or a \
-         folder above such",
+         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), files .edf, .bdf or .xdf with \
+         annotations or markers, a folder with tables and a labels.csv, or a folder above such",
         .path.display()
     )]
     NoRecordings {

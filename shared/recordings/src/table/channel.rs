@@ -50,7 +50,7 @@ impl fmt::Display for Channel {
 }
 
 /// For each column its place in a frame of `channels`, if chosen.
-pub(super) fn places(
+pub(crate) fn places(
     channels: &[Channel],
     columns: usize,
     names: &[String],
