@@ -198,13 +198,9 @@ pub fn first_muscles(columns: &[Column], count: usize) -> Result<Vec<Channel>, T
             "" => format!("{index}: {}", column.kind),
             name => format!("{name}: {}", column.kind),
         });
-        let found = match muscles.len() {
-            0 => "no column looks like one".to_owned(),
-            1 => "1 column looks like one".to_owned(),
-            found => format!("{found} columns look like them"),
-        };
         let columns = listed.collect::<Vec<_>>().join(", ");
-        return Err(error_at(1, 1, TableProblem::TooFewMuscles { wanted: count, found, columns }));
+        let problem = TableProblem::TooFewMuscles { wanted: count, found: muscles.len(), columns };
+        return Err(error_at(1, 1, problem));
     }
     Ok(muscles.into_iter().take(count).collect())
 }
@@ -319,12 +315,11 @@ impl Table {
         let Some((first, first_hz)) = known.next() else { return Ok(None) };
         match known.find(|(_, rate_hz)| !is_same_rate(*rate_hz, first_hz)) {
             Some((second, second_hz)) => {
-                let problem = TableProblem::RatesDiffer {
-                    first: self.name(first),
-                    first_hz: Rate(first_hz),
-                    second: self.name(second),
-                    second_hz: Rate(second_hz),
-                };
+                let (first, second_name) = (self.name(first), self.name(second));
+                let (first_hz, second_hz) = (Rate(first_hz), Rate(second_hz));
+                let columns =
+                    format!("column `{first}` has {first_hz} Hz and column `{second_name}` {second_hz} Hz");
+                let problem = TableProblem::RatesDiffer { columns };
                 Err(error_at(1, second + 1, problem))
             }
             None => Ok(Some(first_hz)),

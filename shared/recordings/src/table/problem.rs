@@ -73,13 +73,14 @@ pub enum TableProblem {
     },
     /// Too few columns that look like EMG.
     #[error(
-        "{wanted} channels of EMG are wanted, but {found}: choose channels by name or number ({columns})"
+        "{wanted} channels of EMG are wanted, but {}: choose channels by name or number ({columns})",
+        looking_like_emg(*.found)
     )]
     TooFewMuscles {
         /// Columns asked for.
         wanted: usize,
-        /// How many there are, in words.
-        found: String,
+        /// How many look like them.
+        found: usize,
         /// All columns, with what each looks like.
         columns: String,
     },
@@ -89,18 +90,10 @@ pub enum TableProblem {
     )]
     RisingMuscle(String),
     /// Columns that were not sampled at the same rate.
-    #[error(
-        "column `{first}` has {first_hz} Hz and column `{second}` {second_hz} Hz: choose columns of one rate"
-    )]
+    #[error("{columns}: choose columns of one rate")]
     RatesDiffer {
-        /// A chosen column.
-        first: String,
-        /// Its rate.
-        first_hz: Rate,
-        /// Another one.
-        second: String,
-        /// Its rate.
-        second_hz: Rate,
+        /// Two of them with their rates, in words.
+        columns: String,
     },
     /// A chosen name that the header line does not hold.
     #[error("there is no channel named `{name}`: {}", available(.names))]
@@ -128,6 +121,14 @@ impl fmt::Display for Rate {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let text = format!("{:.3}", self.0);
         out.write_str(text.trim_end_matches('0').trim_end_matches('.'))
+    }
+}
+
+fn looking_like_emg(columns: usize) -> String {
+    match columns {
+        0 => "no column looks like one".to_owned(),
+        1 => "1 column looks like one".to_owned(),
+        _ => format!("{columns} columns look like them"),
     }
 }
 
