@@ -15,29 +15,28 @@ use tendon_recordings::{Channel, RecordedSession, muscles};
 /// Of the 3DC armband, those that come nearest to the places of the paper's electrodes.
 const DEFAULT: [usize; 4] = [0, 3, 5, 8];
 
-/// The channels `given`, or else those that the recordings at or below `paths` are taken to have. The channels of `settings` do
+/// The channels `given`, by the names that the recordings at or below `paths` give them, or else those that the recordings at or below `paths` are taken to have. The channels of `settings` do
 /// not matter.
 ///
 /// # Errors
 ///
 /// The recordings cannot be listed, or have no channel that looks like EMG.
 pub fn channels_or_default(
-    given: &[usize],
+    given: &[Channel],
     settings: &DatasetSettings,
     paths: &[PathBuf],
 ) -> anyhow::Result<Vec<Channel>> {
     if !given.is_empty() {
-        return Ok(given.iter().copied().map(Channel::Index).collect());
+        return named_by_recordings(given, settings, paths);
     }
-    let default = || DEFAULT.map(Channel::Index).to_vec();
     let found = list(settings, paths)?;
     if found.layout != Layout::Labelled {
-        return Ok(default());
+        return Ok(of_three_dc());
     }
     // What cannot be read is said when it is used.
     let readable = |recording: &Recording| recording.file_channels(settings).is_ok();
     let Some(recording) = found.recordings.iter().find(|recording| readable(recording)) else {
-        return Ok(default());
+        return Ok(of_three_dc());
     };
     let mut channels = muscles(&recording.path)?;
     if RecordedSession::beside(&recording.path)?.is_none() {
@@ -52,12 +51,14 @@ pub fn channels_or_default(
     Ok(channels)
 }
 
-/// The channels `given`, by the names that the recordings at or below `paths` give them.
-///
-/// # Errors
-///
-/// The recordings cannot be listed.
-pub fn named_by_recordings(
+/// The channels of 3DC that are taken where nobody says which.
+pub fn of_three_dc() -> Vec<Channel> {
+    DEFAULT.map(Channel::Index).to_vec()
+}
+
+/// The channels `given`, by the names that the recordings at or below `paths` give them: a recording in which the columns lie
+/// otherwise is then read rightly.
+fn named_by_recordings(
     given: &[Channel],
     settings: &DatasetSettings,
     paths: &[PathBuf],
@@ -92,8 +93,9 @@ mod tests {
     }
 
     fn channels(folder: &Path, given: &[usize]) -> Result<Vec<Channel>, String> {
+        let given: Vec<Channel> = given.iter().copied().map(Channel::Index).collect();
         let settings = DatasetSettings { recording_rate_hz: Some(1000.0), ..DatasetSettings::default() };
-        channels_or_default(given, &settings, &[folder.to_owned()]).map_err(|error| error.to_string())
+        channels_or_default(&given, &settings, &[folder.to_owned()]).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -107,7 +109,12 @@ mod tests {
         ] {
             table(folder.path(), header);
             assert_eq!(channels(folder.path(), &[]).unwrap(), four, "{header}");
-            assert_eq!(channels(folder.path(), &[2, 0]).unwrap(), [2, 0].map(Channel::from), "{header}");
+            let names: Vec<&str> = header.split(',').collect();
+            assert_eq!(
+                channels(folder.path(), &[2, 0]).unwrap(),
+                [names[2], names[0]].map(Channel::from),
+                "{header}"
+            );
         }
         table(folder.path(), "flexor,time");
         assert_eq!(channels(folder.path(), &[]).unwrap(), [Channel::from("flexor")]);

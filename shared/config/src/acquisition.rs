@@ -367,7 +367,7 @@ mod tests {
         let mut acquisition = AcquisitionSettings::default();
         acquisition.replay.path = Some(path);
         let error = acquisition.open_recording().unwrap_err().to_string();
-        assert!(error.contains("--replay-rate-hz 1000, or acquisition.replay.sample_rate_hz"), "{error}");
+        assert!(error.contains("--recording-rate-hz 1000, or acquisition.replay.sample_rate_hz"), "{error}");
         acquisition.replay.sample_rate_hz = Some(1000.0);
         let (summary, _) = acquisition.open_recording().unwrap();
         assert_eq!(summary.channels, ["flexor", "extensor", "thumb", "ulna"]);

@@ -48,7 +48,7 @@ impl Layout {
     /// Unit of the samples of that data set; `None` for your own recordings.
     fn unit(self) -> Option<&'static str> {
         match self {
-            Layout::ThreeDc => Some("adc_counts"),
+            Layout::ThreeDc => Some(three_dc::UNIT),
             Layout::OzdemirMat | Layout::OzdemirTrials => Some("mV"),
             Layout::Labelled => None,
         }
