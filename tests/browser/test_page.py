@@ -107,7 +107,7 @@ class InBrowser(unittest.TestCase):
 
     def test_the_space_bar_stops_whatever_has_the_focus_and_enter_arms(self):
         page = self.open()
-        for focus in ("#stop", "#language", "#arm-canvas"):
+        for focus in ("#stop", "#languages button", "#arm-canvas"):
             page.value(f"document.querySelector('{focus}').focus()")
             page.press_space()
             page.wait_for(f"{STOP} === 'STOPPED'")
@@ -164,7 +164,7 @@ class InBrowser(unittest.TestCase):
         page = self.open(width=1024, height=768, is_dark=True)
         cases = [
             ({"permission": "await-rest", "calibration_left_ms": 3200}, "Relax: measuring rest, 4 s left"),
-            ({"permission": "await-rest", "stop_reason": "no-commands"}, "Relax to begin"),
+            ({"permission": "await-rest", "stop_reason": "no-commands"}, "Relax to go on"),
             ({"permission": "stopped", "phase": "going-to-start"}, "The arm moves to its start position"),
             ({"permission": "stopped", "phase": "waiting", "stop_reason": "moved-since"}, "The arm waits"),
             ({"hindrance": "at the workspace limit +z"}, "Held up · rest"),
@@ -203,8 +203,7 @@ class InBrowser(unittest.TestCase):
 
     def test_the_page_speaks_french(self):
         page = self.open()
-        page.value("(() => { const list = document.querySelector('#language'); list.value = 'fr';"
-                   " list.dispatchEvent(new Event('change')); })()")
+        page.click("#languages [lang=fr]")
         page.wait_for(f"{TITLE} === 'Prêt · repos' && {STOP} === 'ARRÊT' && document.documentElement.lang === 'fr'")
         page.value("localStorage.clear()")
 

@@ -109,6 +109,9 @@ function showStanding({ tone, title, detail }) {
 
 function chooseAgain(tag) {
   chooseLanguage(tag);
+  for (const button of byId("languages").children) {
+    button.setAttribute("aria-pressed", String(button.dataset.tag === language));
+  }
   isStateNew = state !== null && connection.why === null;
   if (connection.why) showAway(connection.why);
   session.refresh();
@@ -116,9 +119,14 @@ function chooseAgain(tag) {
   redraw();
 }
 
-const select = byId("language");
-for (const [tag, name] of languages()) select.add(new Option(name, tag, false, tag === language));
-select.addEventListener("change", () => chooseAgain(select.value));
+// Buttons and no list: an open list would take the space bar for itself, which has to stop the arm.
+for (const [tag, name] of languages()) {
+  const button = byId("languages").appendChild(document.createElement("button"));
+  button.type = "button";
+  button.lang = button.dataset.tag = tag;
+  button.textContent = name;
+  button.addEventListener("click", () => chooseAgain(tag));
+}
 chooseAgain(language);
 
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {

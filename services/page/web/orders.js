@@ -32,7 +32,9 @@ export class Orders {
       if (performance.now() - pressedMs > 1000) this.give("stop");
       pressedMs = -Infinity;
     });
-    this.arm.addEventListener("click", () => this.give("arm"));
+    this.arm.addEventListener("click", () => {
+      if (this.canArm) this.give("arm");
+    });
     // The space bar stops whatever has the focus, ahead of everything else that would take it.
     const isSpace = (event) => event.code === "Space" || event.key === " ";
     window.addEventListener("keydown", (event) => {
@@ -125,6 +127,8 @@ export class Orders {
     this.stop.classList.toggle("is-asked", this.asked.has("stop"));
     this.stop.classList.toggle("is-stopped", isStopped);
     this.stop.setAttribute("aria-disabled", String(this.rights === "watch"));
-    this.arm.disabled = !isStopped || this.rights === "watch";
+    // Not disabled, which would take the focus away from whoever works by keyboard.
+    this.canArm = isStopped && this.rights !== "watch";
+    this.arm.setAttribute("aria-disabled", String(!this.canArm));
   }
 }

@@ -14,13 +14,14 @@ export function standing(hello, state) {
     if (state.phase === "connecting" && !state.stop_reason) return line("wait", "connecting");
     if (state.phase === "bringing-up") return line("wait", "bringing-up");
     if (state.phase === "going-to-start") return line("move", "going-to-start");
+    const canOrder = hello.rights !== "watch";
     const title = HOW_FOUND.includes(state.stop_reason) ? "waiting" : "stopped";
-    return { tone: "stop", title: text(title), detail: [reason, text("arm-to-go-on")].filter(Boolean).join(" ") };
+    return { tone: "stop", title: text(title), detail: [reason, canOrder ? text("arm-to-go-on") : ""].join(" ").trim() };
   }
   if (state.permission === "await-rest") {
     const leftMs = state.calibration_left_ms;
     if (leftMs > 0) return line("wait", "measuring-rest", { seconds: number(Math.ceil(leftMs / 1000)) });
-    return { tone: "wait", title: text("relax"), detail: reason || text("relax-detail") };
+    return { tone: "wait", title: text(reason ? "relax-again" : "relax"), detail: reason || text("relax-detail") };
   }
   const gesture = state.voted ?? state.gesture;
   const places = { gesture: gesture == null ? "–" : gestureName(gesture), confidence: number(state.confidence, 2) };
