@@ -163,7 +163,7 @@ class InBrowser(unittest.TestCase):
     def test_why_the_arm_does_not_follow_is_in_words(self):
         page = self.open(width=1024, height=768, is_dark=True)
         cases = [
-            ({"permission": "await-rest", "calibration_left_ms": 3200}, "Relax: measuring rest, 4 s left"),
+            ({"permission": "await-rest", "calibration_left_ms": 3200}, "Relax: measuring rest, 4\u00a0s left"),
             ({"permission": "await-rest", "stop_reason": "no-commands"}, "Relax to go on"),
             ({"permission": "stopped", "phase": "going-to-start"}, "The arm moves to its start position"),
             ({"permission": "stopped", "phase": "waiting", "stop_reason": "moved-since"}, "The arm waits"),

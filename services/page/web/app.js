@@ -75,7 +75,7 @@ const connection = new Connection({
 });
 const orders = new Orders(connection);
 const afterPaint = new MessageChannel();
-afterPaint.port1.onmessage = () => latency.painted(connection.serverNowMs());
+afterPaint.port1.onmessage = () => latency.painted();
 
 function draw() {
   isScheduled = false;
@@ -136,6 +136,6 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
 document.addEventListener("visibilitychange", () => latency.lookAway());
 // The token is the address's fragment: another token is another page.
 window.addEventListener("hashchange", () => location.reload());
-setInterval(() => latency.showMuscleToPixel(), 1000);
+setInterval(() => latency.showMuscleToPixel(connection.clockOffsetMs()), 1000);
 connection.begin();
 

@@ -142,10 +142,9 @@ export class Connection {
     return true;
   }
 
-  /** The server's clock now in ms, or null while it is not known. */
-  serverNowMs() {
+  /** The server's clock less the page's in ms, or null while it is not known. */
+  clockOffsetMs() {
     if (this.trips.length === 0) return null;
-    const best = this.trips.reduce((least, trip) => (trip.tripMs < least.tripMs ? trip : least));
-    return performance.now() + best.offsetMs;
+    return this.trips.reduce((least, trip) => (trip.tripMs < least.tripMs ? trip : least)).offsetMs;
   }
 }

@@ -17,7 +17,8 @@ export class Latency {
     this.hops = byId("hops");
     this.facts = byId("latency-facts");
     this.rows = new Map();
-    this.paintedMs = [];
+    // When bins were painted, by the page's clock, less when they were captured, by the server's.
+    this.betweenClocksMs = [];
     this.awaiting = [];
   }
 
@@ -25,7 +26,7 @@ export class Latency {
     this.hello = hello;
     this.rows.clear();
     this.hops.replaceChildren();
-    this.paintedMs = [];
+    this.betweenClocksMs = [];
     this.awaiting = [];
     show(this.toCommand, "–");
     show(this.toPixel, "–");
@@ -43,18 +44,17 @@ export class Latency {
   }
 
   /** Everything that was awaited has been handed to the screen, which shows it with its next refresh. */
-  painted(serverNowMs) {
-    // Before the first answer to a ping the server's clock is not known.
-    if (serverNowMs !== null) {
-      for (const capturedMs of this.awaiting) this.paintedMs.push(serverNowMs - capturedMs);
-    }
+  painted() {
+    const nowMs = performance.now();
+    for (const capturedMs of this.awaiting) this.betweenClocksMs.push(nowMs - capturedMs);
     this.awaiting = [];
-    if (this.paintedMs.length > KEPT) this.paintedMs.splice(0, this.paintedMs.length - KEPT);
+    if (this.betweenClocksMs.length > KEPT) this.betweenClocksMs.splice(0, this.betweenClocksMs.length - KEPT);
   }
 
-  showMuscleToPixel() {
-    if (this.paintedMs.length < 10) return;
-    const sorted = Float64Array.from(this.paintedMs).sort();
+  /** `offsetMs` is the server's clock less the page's, which is known better with every answer to a ping. */
+  showMuscleToPixel(offsetMs) {
+    if (this.betweenClocksMs.length < 10 || offsetMs === null) return;
+    const sorted = Float64Array.from(this.betweenClocksMs, (betweenMs) => betweenMs + offsetMs).sort();
     const at = (share) => sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))];
     show(this.toPixel, text("p50-p99-ms", { p50: number(at(0.5)), p99: number(at(0.99)) }));
   }
@@ -99,7 +99,7 @@ export class Latency {
 }
 
 function duration(us) {
-  return us >= 1000 ? `${number(us / 1000, 1)} ms` : `${number(us, us < 10 ? 1 : 0)} µs`;
+  return us >= 1000 ? `${number(us / 1000, 1)}\u00a0ms` : `${number(us, us < 10 ? 1 : 0)}\u00a0µs`;
 }
 
 /** Bars on a logarithmic axis; their height is the square root of their share, so that the tail is seen. */

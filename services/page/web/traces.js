@@ -10,6 +10,8 @@ const SHOWN_MS = 5000;
 const LABEL_PX = 74;
 const METER_PX = 64;
 const AXIS_PX = 18;
+/** A trace is filled from its least to its most value, and at least so thick to both sides: cheaper than a stroke. */
+const HALF_LINE_PX = 0.7;
 /** Rows lower than this show no words. */
 const ROW_WITH_WORDS_PX = 15;
 
@@ -176,7 +178,7 @@ export class Traces {
     const binPx = plotPx / this.capacity;
     const step = Math.max(1, Math.round((this.hello.channels.length > 16 ? 2 : 1) / binPx));
     const heightOf = (value) => middlePx - Math.max(-1, Math.min(1, value / top)) * (rowPx / 2 - 1);
-    context.fillStyle = context.strokeStyle = colour(this.troubles.has(channel) ? "bad" : "trace");
+    context.fillStyle = colour(this.troubles.has(channel) ? "bad" : "trace");
     context.beginPath();
     let run = [];
     const closeRun = () => {
@@ -199,11 +201,10 @@ export class Traces {
         if (this.extremes[at + 1] > most) most = this.extremes[at + 1];
       }
       if (most < least) closeRun();
-      else run.push([LABEL_PX + (bin - oldest + 1) * binPx, heightOf(most), heightOf(least)]);
+      else run.push([LABEL_PX + (bin - oldest + 1) * binPx, heightOf(most) - HALF_LINE_PX, heightOf(least) + HALF_LINE_PX]);
     }
     closeRun();
     context.fill();
-    context.stroke();
   }
 
   drawMeter(channel, middlePx, rowPx, envelopeTop) {
