@@ -25,7 +25,9 @@ BIN_MS = 8
 #: Modified Denavit-Hartenberg parameters of the xArm7: a in mm, d in mm, alpha in rad.
 JOINTS = [(0, 267, 0), (0, 0, -math.pi / 2), (0, 293, math.pi / 2), (52.5, 0, math.pi / 2), (77.5, 342.5, math.pi / 2),
           (0, 0, math.pi / 2), (76, 97, -math.pi / 2)]
+#: The arm stands at its start position.
 JOINTS_RAD = [0.0, -0.2618, 0.0, 0.7854, 0.0, 1.0472, 0.0]
+START_MM = [386.0, 0.0, 362.0]
 
 
 class Session:
@@ -85,7 +87,7 @@ class Session:
         now_ns = time.monotonic_ns()
         return {
             "now_ns": now_ns, "captured_ns": now_ns, "elapsed_s": (now_ns - self._started_ns) / 1e9,
-            "position_mm": [386.0, 0.0, 300.0], "orientation_rad": [math.pi, 0, 0], "joints_rad": JOINTS_RAD,
+            "position_mm": START_MM, "orientation_rad": [math.pi, 0, 0], "joints_rad": JOINTS_RAD,
             "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
             "phase": "following", "gesture": self.gesture, "voted": self.gesture, "confidence": 0.93, "unsure": False,
             "novelty": 0.2, "probabilities": [0.93 if gesture == self.gesture else 0.014 for gesture in GESTURES],

@@ -12,7 +12,7 @@ import time
 import unittest
 
 from browser import Browser, find_program
-from fixture import WEB, Session
+from fixture import JOINTS_RAD, START_MM, WEB, Session
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 MOST_BYTES = 300_000
@@ -87,6 +87,17 @@ class InBrowser(unittest.TestCase):
         page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")
         self.assertEqual(page.value("document.querySelectorAll('#hops tr').length"), 4)
         self.screenshot(page, "following")
+
+    def test_the_arm_is_drawn_where_it_is(self):
+        page = self.open()
+        joints = json.dumps(self.session.hello()["arm"]["joints"])
+        tips = [page.value(f"import('/arm.js').then((arm) => arm.forwardKinematics({joints}, {angles}).flange.slice(9))")
+                for angles in ([0] * 7, JOINTS_RAD)]
+        # With all joints zero the vendor's flange is there; the other is the start position in tendon-arm's tests.
+        for tip, expected in zip(tips, ([206.0, 0.0, 120.5], START_MM)):
+            for value, right in zip(tip, expected):
+                self.assertAlmostEqual(value, right, delta=0.5)
+        page.wait_for("document.querySelector('#arm-facts').textContent.startsWith('x 386 · y 0 · z 362')")
 
     def test_stop_is_asked_at_the_click_and_confirmed_by_the_state_alone(self):
         self.session.obeys = False

@@ -65,7 +65,8 @@ const connection = new Connection({
   away(why) {
     // Old values are never shown as live ones.
     document.body.classList.toggle("is-away", why !== null);
-    for (const values of document.querySelectorAll("main section:not(#session), #session-facts")) values.inert = why !== null;
+    for (const values of document.querySelectorAll("main section:not(#session), #session-facts"))
+      values.inert = why !== null;
     orders.lookAway(why);
     if (why === null) return;
     isStateNew = false;
@@ -138,4 +139,3 @@ document.addEventListener("visibilitychange", () => latency.lookAway());
 window.addEventListener("hashchange", () => location.reload());
 setInterval(() => latency.showMuscleToPixel(connection.clockOffsetMs()), 1000);
 connection.begin();
-

@@ -19,7 +19,8 @@ function compose(a, b) {
   const result = new Array(12);
   for (let row = 0; row < 3; row += 1) {
     for (let column = 0; column < 3; column += 1) {
-      result[3 * row + column] = a[3 * row] * b[column] + a[3 * row + 1] * b[3 + column] + a[3 * row + 2] * b[6 + column];
+      result[3 * row + column] =
+        a[3 * row] * b[column] + a[3 * row + 1] * b[3 + column] + a[3 * row + 2] * b[6 + column];
     }
     result[9 + row] = a[3 * row] * b[9] + a[3 * row + 1] * b[10] + a[3 * row + 2] * b[11] + a[9 + row];
   }
@@ -69,8 +70,16 @@ export class ArmView {
       this.turn(-(event.clientX - from.x) * DRAG_RAD_PER_PX, (event.clientY - from.y) * DRAG_RAD_PER_PX);
       from = { x: event.clientX, y: event.clientY };
     });
-    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => { from = null; });
-    const turns = { ArrowLeft: [KEY_TURN_RAD, 0], ArrowRight: [-KEY_TURN_RAD, 0], ArrowUp: [0, KEY_TURN_RAD], ArrowDown: [0, -KEY_TURN_RAD] };
+    for (const end of ["pointerup", "pointercancel"])
+      canvas.addEventListener(end, () => {
+        from = null;
+      });
+    const turns = {
+      ArrowLeft: [KEY_TURN_RAD, 0],
+      ArrowRight: [-KEY_TURN_RAD, 0],
+      ArrowUp: [0, KEY_TURN_RAD],
+      ArrowDown: [0, -KEY_TURN_RAD],
+    };
     canvas.addEventListener("keydown", (event) => {
       if (event.key === "Home") this.view = { ...START_VIEW };
       else if (!(event.key in turns)) return;
@@ -99,7 +108,9 @@ export class ArmView {
     if (this.isKnown && !isSame) this.path.push({ atMs: state.now_ns / 1e6, point: state.position_mm });
     while (this.path.length > 0 && this.path[0].atMs < state.now_ns / 1e6 - PATH_MS) this.path.shift();
     const [x, y, z] = this.isKnown ? state.position_mm : [];
-    const facts = [text("arm-facts", { x: number(x), y: number(y), z: number(z), speed: number(state.speed_mm_per_s) })];
+    const facts = [
+      text("arm-facts", { x: number(x), y: number(y), z: number(z), speed: number(state.speed_mm_per_s) }),
+    ];
     const opening = gripperOpening(state.gripper);
     if (opening !== null) facts.push(text("gripper-is", { percent: number(100 * opening) }));
     if (state.zone) {
@@ -144,8 +155,10 @@ export class ArmView {
       const values = shown.map((point) => project(point)[axis]);
       return { least: Math.min(...values), most: Math.max(...values) };
     });
-    const scale = Math.min((sheet.width - 2 * MARGIN_PX) / (across.most - across.least),
-      (sheet.height - 2 * MARGIN_PX) / (up.most - up.least));
+    const scale = Math.min(
+      (sheet.width - 2 * MARGIN_PX) / (across.most - across.least),
+      (sheet.height - 2 * MARGIN_PX) / (up.most - up.least),
+    );
     return (point) => {
       const [right, above, perspective] = project(point);
       return [
@@ -170,8 +183,24 @@ export class ArmView {
 
   drawFloor(min, max) {
     const step = 200;
-    for (let y = Math.floor(min[1] / step) * step; y <= max[1]; y += step) this.stroke([[0, y, 0], [max[0], y, 0]], "line", 1);
-    for (let x = 0; x <= max[0]; x += step) this.stroke([[x, min[1], 0], [x, max[1], 0]], "line", 1);
+    for (let y = Math.floor(min[1] / step) * step; y <= max[1]; y += step)
+      this.stroke(
+        [
+          [0, y, 0],
+          [max[0], y, 0],
+        ],
+        "line",
+        1,
+      );
+    for (let x = 0; x <= max[0]; x += step)
+      this.stroke(
+        [
+          [x, min[1], 0],
+          [x, max[1], 0],
+        ],
+        "line",
+        1,
+      );
   }
 
   drawBox(min, max) {
@@ -216,7 +245,12 @@ export class ArmView {
   }
 
   drawPath() {
-    if (this.path.length > 1) this.stroke(this.path.map(({ point }) => point), "path", 2.5);
+    if (this.path.length > 1)
+      this.stroke(
+        this.path.map(({ point }) => point),
+        "path",
+        2.5,
+      );
   }
 
   drawArm(state) {

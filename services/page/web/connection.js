@@ -16,7 +16,12 @@ const FRAME_HEADER_BYTES = 32;
 
 /** Why there are no values: words of texts.json, under "away". */
 const AWAY = {
-  opening: "opening", lost: "lost", silent: "silent", noToken: "no-token", refused: "refused", forbidden: "forbidden",
+  opening: "opening",
+  lost: "lost",
+  silent: "silent",
+  noToken: "no-token",
+  refused: "refused",
+  forbidden: "forbidden",
   full: "full",
 };
 

@@ -62,7 +62,10 @@ export class Latency {
   showLatency(latency) {
     const newest = latency.newest_sample_to_command;
     if (newest?.count > 0) {
-      show(this.toCommand, text("p50-p99-ms", { p50: number(newest.p50_us / 1000, 1), p99: number(newest.p99_us / 1000, 1) }));
+      show(
+        this.toCommand,
+        text("p50-p99-ms", { p50: number(newest.p50_us / 1000, 1), p99: number(newest.p99_us / 1000, 1) }),
+      );
     }
     for (const hop of latency.hops) this.showHop(hop);
   }
@@ -90,9 +93,14 @@ export class Latency {
 
   showState(state) {
     const { paper } = this.hello;
-    const facts = [text("losses", {
-      samples: number(state.lost_samples), blocks: number(state.lost_blocks), stale: number(Number(state.stale ?? 0)), restarts: number(state.restarts),
-    })];
+    const facts = [
+      text("losses", {
+        samples: number(state.lost_samples),
+        blocks: number(state.lost_blocks),
+        stale: number(Number(state.stale ?? 0)),
+        restarts: number(state.restarts),
+      }),
+    ];
     if (paper) facts.push(text("paper-is", { median: number(paper.median_ms) }));
     show(this.facts, facts.join(" "));
   }

@@ -37,15 +37,23 @@ export class Orders {
     });
     // The space bar stops whatever has the focus, ahead of everything else that would take it.
     const isSpace = (event) => event.code === "Space" || event.key === " ";
-    window.addEventListener("keydown", (event) => {
-      if (!isSpace(event)) return;
-      event.preventDefault();
-      event.stopImmediatePropagation();
-      if (!event.repeat) this.give("stop");
-    }, true);
-    window.addEventListener("keyup", (event) => {
-      if (isSpace(event)) event.preventDefault();
-    }, true);
+    window.addEventListener(
+      "keydown",
+      (event) => {
+        if (!isSpace(event)) return;
+        event.preventDefault();
+        event.stopImmediatePropagation();
+        if (!event.repeat) this.give("stop");
+      },
+      true,
+    );
+    window.addEventListener(
+      "keyup",
+      (event) => {
+        if (isSpace(event)) event.preventDefault();
+      },
+      true,
+    );
   }
 
   setUp(hello) {
@@ -110,7 +118,9 @@ export class Orders {
     this.outcome.dataset.tone = tone;
     show(this.outcome, text(key, places));
     clearTimeout(this.hiding);
-    this.hiding = setTimeout(() => { this.outcome.hidden = true; }, OUTCOME_MS);
+    this.hiding = setTimeout(() => {
+      this.outcome.hidden = true;
+    }, OUTCOME_MS);
   }
 
   refresh() {

@@ -5,7 +5,21 @@ let colours = {};
 /** Reads the colours of the style sheet, which depend on light and dark. */
 export function readColours() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["ground", "panel", "ink", "quiet", "line", "trace", "good", "wait", "bad", "path", "zone", "link", "joint"];
+  const names = [
+    "ground",
+    "panel",
+    "ink",
+    "quiet",
+    "line",
+    "trace",
+    "good",
+    "wait",
+    "bad",
+    "path",
+    "zone",
+    "link",
+    "joint",
+  ];
   colours = Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 

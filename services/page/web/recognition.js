@@ -59,9 +59,14 @@ export class Recognition {
     this.decided.classList.toggle("is-unsure", Boolean(state.unsure));
     show(this.gesture, voted == null ? "–" : state.unsure ? text("unsure") : gestureName(voted));
     const motion = voted == null ? null : motionOf(hello, state, voted);
-    show(this.does, voted == null ? "" : state.unsure
-      ? text("unsure-does", { gesture: gestureName(voted) })
-      : text("decided-does", { motion: motion ?? text("motion.none"), confidence: number(state.confidence, 2) }));
+    show(
+      this.does,
+      voted == null
+        ? ""
+        : state.unsure
+          ? text("unsure-does", { gesture: gestureName(voted) })
+          : text("decided-does", { motion: motion ?? text("motion.none"), confidence: number(state.confidence, 2) }),
+    );
     const index = modeIndex(hello, state);
     const mode = hello.modes[index];
     show(this.mode, mode ? text("mode-is", { mode: mode.name, place: index + 1, count: hello.modes.length }) : "");

@@ -18,18 +18,28 @@ export class SessionFacts {
   refresh() {
     if (!this.hello) return;
     const { hello } = this;
-    const fixed = { session: hello.session, source: hello.source, person: hello.person ?? text("none"),
-      model: fileName(hello.model) ?? text("none"), strategy: hello.strategy, recording: "", time: "", version: hello.version };
+    const fixed = {
+      session: hello.session,
+      source: hello.source,
+      person: hello.person ?? text("none"),
+      model: fileName(hello.model) ?? text("none"),
+      strategy: hello.strategy,
+      recording: "",
+      time: "",
+      version: hello.version,
+    };
     this.values.clear();
-    this.list.replaceChildren(...Object.entries(fixed).map(([key, value]) => {
-      const pair = document.createElement("div");
-      const term = pair.appendChild(document.createElement("dt"));
-      const words = pair.appendChild(document.createElement("dd"));
-      term.textContent = text(`session.${key}`);
-      words.textContent = words.title = value;
-      this.values.set(key, words);
-      return pair;
-    }));
+    this.list.replaceChildren(
+      ...Object.entries(fixed).map(([key, value]) => {
+        const pair = document.createElement("div");
+        const term = pair.appendChild(document.createElement("dt"));
+        const words = pair.appendChild(document.createElement("dd"));
+        term.textContent = text(`session.${key}`);
+        words.textContent = words.title = value;
+        this.values.set(key, words);
+        return pair;
+      }),
+    );
     if (this.state) this.showState(this.state);
   }
 

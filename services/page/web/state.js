@@ -4,8 +4,16 @@ import { gestureName, motionOf } from "./recognition.js";
 import { number, text } from "./texts.js";
 
 /** How the arm was found at the start: then it was not stopped, and waits for its first "arm". */
-const HOW_FOUND = ["not-left-in-good-order", "used-since", "record-unusable", "moved-since", "start-is-far",
-  "start-beyond-limit", "outside-box", "way-leaves-box"];
+const HOW_FOUND = [
+  "not-left-in-good-order",
+  "used-since",
+  "record-unusable",
+  "moved-since",
+  "start-is-far",
+  "start-beyond-limit",
+  "outside-box",
+  "way-leaves-box",
+];
 
 /** Title, detail and tone ("go", "move", "wait", "stop") of a state. */
 export function standing(hello, state) {
@@ -16,7 +24,11 @@ export function standing(hello, state) {
     if (state.phase === "going-to-start") return line("move", "going-to-start");
     const canOrder = hello.rights !== "watch";
     const title = HOW_FOUND.includes(state.stop_reason) ? "waiting" : "stopped";
-    return { tone: "stop", title: text(title), detail: [reason, canOrder ? text("arm-to-go-on") : ""].join(" ").trim() };
+    return {
+      tone: "stop",
+      title: text(title),
+      detail: [reason, canOrder ? text("arm-to-go-on") : ""].join(" ").trim(),
+    };
   }
   if (state.permission === "await-rest") {
     const leftMs = state.calibration_left_ms;
@@ -30,7 +42,11 @@ export function standing(hello, state) {
   }
   if (state.unsure) {
     const electrodeIsOff = (state.troubles ?? []).length > 0;
-    return { tone: "wait", title: text("unsure-title"), detail: text(electrodeIsOff ? "unsure-electrode" : "unsure-detail") };
+    return {
+      tone: "wait",
+      title: text("unsure-title"),
+      detail: text(electrodeIsOff ? "unsure-electrode" : "unsure-detail"),
+    };
   }
   const motion = gesture == null ? null : motionOf(hello, state, gesture);
   if (motion === null) return { tone: "go", title: text("ready", places), detail: text("ready-detail") };

@@ -50,7 +50,9 @@ export function hasText(key) {
 export function number(value, decimals = 0) {
   if (typeof value !== "number" || !Number.isFinite(value)) return "–";
   const shown = value.toLocaleString(language, {
-    useGrouping: "min2", minimumFractionDigits: decimals, maximumFractionDigits: decimals,
+    useGrouping: "min2",
+    minimumFractionDigits: decimals,
+    maximumFractionDigits: decimals,
   });
   return /^-[0.,]*$/.test(shown) ? shown.slice(1) : shown;
 }

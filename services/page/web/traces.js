@@ -85,17 +85,26 @@ export class Traces {
     const { hello } = this;
     this.troubles = new Map((state.troubles ?? []).map(({ channel, kind }) => [channel, kind]));
     const rateHz = hello.sample_rate_hz * (1 + (state.clock_drift_ppm ?? 0) / 1e6);
-    show(this.facts, text("signals-facts", {
-      channels: hello.channels.length,
-      rate: number(rateHz, 1),
-      lost: number(state.lost_samples),
-      top: number(this.amplitude.top),
-      unit: hello.channels[0]?.unit ?? text("unit-none"),
-    }));
-    const wrong = [...this.troubles].slice(0, 3).map(([channel, kind]) =>
-      text("channel-trouble", { channel: this.spokenName(channel), trouble: text(`trouble.${kind}`) }));
+    show(
+      this.facts,
+      text("signals-facts", {
+        channels: hello.channels.length,
+        rate: number(rateHz, 1),
+        lost: number(state.lost_samples),
+        top: number(this.amplitude.top),
+        unit: hello.channels[0]?.unit ?? text("unit-none"),
+      }),
+    );
+    const wrong = [...this.troubles]
+      .slice(0, 3)
+      .map(([channel, kind]) =>
+        text("channel-trouble", { channel: this.spokenName(channel), trouble: text(`trouble.${kind}`) }),
+      );
     if (this.troubles.size > 3) wrong.push(text("more-channels", { count: this.troubles.size - 3 }));
-    show(this.electrodes, wrong.length === 0 ? text("electrodes-good") : `${wrong.join(" · ")} · ${text("check-electrodes")}`);
+    show(
+      this.electrodes,
+      wrong.length === 0 ? text("electrodes-good") : `${wrong.join(" · ")} · ${text("check-electrodes")}`,
+    );
     this.electrodes.classList.toggle("is-bad", wrong.length > 0);
   }
 
@@ -131,14 +140,16 @@ export class Traces {
 
   /** The peak that three quarters of the channels stay below: one loose electrode must not flatten the others. */
   typicalPeak() {
-    const peaks = this.hello.channels.map((_, channel) => {
-      let peak = 0;
-      for (let at = 2 * channel * this.capacity; at < 2 * (channel + 1) * this.capacity; at += 1) {
-        const size = Math.abs(this.extremes[at]);
-        if (size > peak) peak = size;
-      }
-      return peak;
-    }).sort((a, b) => a - b);
+    const peaks = this.hello.channels
+      .map((_, channel) => {
+        let peak = 0;
+        for (let at = 2 * channel * this.capacity; at < 2 * (channel + 1) * this.capacity; at += 1) {
+          const size = Math.abs(this.extremes[at]);
+          if (size > peak) peak = size;
+        }
+        return peak;
+      })
+      .sort((a, b) => a - b);
     return peaks[Math.floor(0.75 * (peaks.length - 1))];
   }
 
@@ -161,7 +172,8 @@ export class Traces {
     context.fillStyle = trouble ? colour("bad") : colour("ink");
     context.font = `${trouble ? 700 : 600} ${Math.min(15, Math.max(10, rowPx * 0.5))}px ${FONT}`;
     const word = trouble ? text(`lamp.${trouble}`) : "";
-    if (trouble && !isTall) context.fillText(hasRoom ? `${this.name(channel)} ${word}` : this.name(channel), 9, middlePx, LABEL_PX - 12);
+    if (trouble && !isTall)
+      context.fillText(hasRoom ? `${this.name(channel)} ${word}` : this.name(channel), 9, middlePx, LABEL_PX - 12);
     else context.fillText(this.name(channel), 9, trouble ? middlePx - 8 : middlePx, LABEL_PX - 12);
     if (trouble && isTall) context.fillText(word, 9, middlePx + 9, LABEL_PX - 12);
   }
@@ -196,12 +208,17 @@ export class Traces {
       let least = Infinity;
       let most = -Infinity;
       for (let inside = bin; inside < Math.min(bin + step, this.newestBin + 1); inside += 1) {
-        const at = 2 * (channel * this.capacity + ((inside % this.capacity) + this.capacity) % this.capacity);
+        const at = 2 * (channel * this.capacity + (((inside % this.capacity) + this.capacity) % this.capacity));
         if (this.extremes[at] < least) least = this.extremes[at];
         if (this.extremes[at + 1] > most) most = this.extremes[at + 1];
       }
       if (most < least) closeRun();
-      else run.push([LABEL_PX + (bin - oldest + 1) * binPx, heightOf(most) - HALF_LINE_PX, heightOf(least) + HALF_LINE_PX]);
+      else
+        run.push([
+          LABEL_PX + (bin - oldest + 1) * binPx,
+          heightOf(most) - HALF_LINE_PX,
+          heightOf(least) + HALF_LINE_PX,
+        ]);
     }
     closeRun();
     context.fill();
