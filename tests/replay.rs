@@ -11,7 +11,9 @@ use tendon_messages::{PREDICTIONS, WINDOWS};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
 use tendon_report::Report;
-use tendon_system_tests::recordings::{MOVEMENT, REST, Stretch, real_three_dc, write_table, write_three_dc};
+use tendon_system_tests::recordings::{
+    MOVEMENT, REST, Stretch, real_three_dc, write_edf, write_table, write_three_dc,
+};
 use tendon_system_tests::{
     StageAlone, TendonBuilder, assert_nothing_left, model, repository, unique_session, wait_until,
 };
@@ -56,24 +58,29 @@ fn at_full_speed_every_block_and_window_of_a_table_comes_through() {
 }
 
 #[test]
-fn the_columns_of_a_table_are_named() {
+fn the_columns_of_a_table_are_named_and_its_time_gives_the_rate_and_the_gaps() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("emg.csv");
-    let samples = "0.001,1,2,3,4\n".repeat(2000);
+    // 100 ms are missing in the middle.
+    let row = |row: usize| {
+        format!("{:.4},{},2,3,4\n", (row + if row < 1000 { 0 } else { 200 }) as f64 / 2000.0, row % 7)
+    };
+    let samples: String = (0..2000).map(row).collect();
     std::fs::write(&path, format!("time,flexor,extensor,thumb,ulna\n{samples}")).unwrap();
     let run = |channels: &[&str]| {
         let builder = TendonBuilder::run(&unique_session()).args(&["--pace", "full", "--realtime", "off"]);
-        builder.args(&["--replay-rate-hz", "2000", "--replay"]).arg(&path).args(channels).end()
+        builder.arg("--replay").arg(&path).args(channels).end()
     };
     let ended = run(&[]);
-    assert!(ended.output.contains("columns time, flexor, extensor, thumb\n"), "{ended:#?}");
+    assert!(ended.output.contains("at 2000 Hz, columns flexor, extensor, thumb, ulna\n"), "{ended:#?}");
+    assert!(ended.errors.contains("200 samples are missing in 1 place"), "{ended:#?}");
+    assert!(ended.errors.contains("channel extensor was constant (2)"), "{ended:#?}");
+    let ended = run(&["--set", "acquisition.replay.channels=[2,1,0,3]"]);
+    assert!(ended.output.contains("columns extensor, flexor, time, thumb\n"), "{ended:#?}");
     assert!(
-        ended.errors.contains("its first columns are taken: time, flexor, extensor, thumb"),
+        ended.errors.contains("column `time` is taken as EMG, as asked, but looks like time"),
         "{ended:#?}"
     );
-    let ended = run(&["--set", "acquisition.replay.channels=[2,1,4,3]"]);
-    assert!(ended.output.contains("columns extensor, flexor, ulna, thumb\n"), "{ended:#?}");
-    assert!(!ended.errors.contains("first columns"), "{ended:#?}");
 }
 
 #[test]
@@ -93,6 +100,21 @@ fn at_full_speed_two_replays_of_a_recording_with_cues_are_the_same() {
     let at_rest = folder.path().join("rest.csv");
     write_table(&at_rest, &[Stretch { samples: 4000, amplitudes: REST }]);
     assert_ne!(first.final_position_mm, replay_at_full_speed(&at_rest, &CSV).final_position_mm);
+}
+
+#[test]
+fn an_edf_file_with_a_gap_is_replayed_at_the_rate_of_the_session_with_its_own_cues() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("delsys.edf");
+    write_edf(&path);
+    let report = replay_at_full_speed(&path, &[]);
+    // Twice 5772 samples at 1925.926 Hz, of which each 27 / 26 remain: 599 blocks, from each of which windows are cut anew.
+    assert_complete(&report, 2 * 599, 2 * windows_of(5990));
+    // Half a second, and what fills no block before it.
+    assert!((1000..1010).contains(&report.lost_samples), "{report:#?}");
+    assert!(report.recognition.windows > 60, "{report:#?}");
+    let columns = "columns EMG 1, EMG 2, EMG 3, EMG 4, in uV";
+    assert!(report.source.contains("at 1925.926 Hz") && report.source.contains(columns), "{report:#?}");
 }
 
 #[test]

@@ -90,9 +90,9 @@ impl RecordingFile {
             .with_context(|| format!("cannot write {}", self.path.display()))
     }
 
-    /// Writes what the stages said when they were ready.
-    pub fn stages(&mut self, json: String) -> anyhow::Result<()> {
-        let written = self.writer.metadata("stages", [("json", json)]);
+    /// Writes JSON under a name.
+    pub fn facts(&mut self, name: &str, json: String) -> anyhow::Result<()> {
+        let written = self.writer.metadata(name, [("json", json)]);
         written.with_context(|| format!("cannot write {}", self.path.display()))
     }
 

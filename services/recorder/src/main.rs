@@ -26,7 +26,7 @@ use clap::Parser;
 use signal_hook::consts::{SIGTERM, SIGXFSZ};
 use tendon_config::Config;
 use tendon_process::NoteSocket;
-use tendon_session_file::{Event, EventKind, RecordingReport, RecordingStart, Said, Told};
+use tendon_session_file::{Event, EventKind, RecordingReport, RecordingStart, Said, TASK, Told};
 use tendon_transport::{Delivery, Session, now_ns};
 
 use crate::file::RecordingFile;
@@ -173,7 +173,8 @@ impl Recorder {
                     let event = Event { at_ns: now_ns(), kind: EventKind::Session, text };
                     self.writing.put(Item::Event(event));
                 }
-                Ok(Told::Ready(stages)) => self.writing.put(Item::Stages(stages.to_string())),
+                Ok(Told::Ready(stages)) => self.writing.put(Item::Facts("stages", stages.to_string())),
+                Ok(Told::Task(task)) => self.writing.put(Item::Facts(TASK, task.to_string())),
                 Ok(Told::Start(_)) => {}
                 Err(TryRecvError::Empty) => return false,
                 Err(TryRecvError::Disconnected) => return true,

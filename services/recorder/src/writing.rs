@@ -25,8 +25,8 @@ pub enum Item {
     Event(Event),
     /// What a person says, who waits until it is written.
     Note(Event, NoteText),
-    /// What the stages said when they were ready.
-    Stages(String),
+    /// JSON under a name: what the stages said when they were ready, how the task went.
+    Facts(&'static str, String),
 }
 
 /// The thread that writes.
@@ -107,7 +107,7 @@ fn write(
                 file.flush()?;
                 has_noted(note);
             }
-            Ok(Item::Stages(json)) => file.stages(json)?,
+            Ok(Item::Facts(name, json)) => file.facts(name, json)?,
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return file.finish(),
         }

@@ -15,7 +15,9 @@ mod dataset;
 mod doctor;
 mod evaluate;
 mod experiments;
+mod export;
 mod latency;
+mod model_channels;
 mod note;
 mod options;
 mod order;
@@ -73,6 +75,8 @@ enum Command {
     Note(note::Options),
     /// Compare two recorded sessions, such as one and its replay: what was recognised and decided, bit for bit.
     Compare(recorded::CompareOptions),
+    /// Give a recorded session in the formats of others: tables, BIDS, XDF.
+    Export(export::Options),
     /// Check what this machine offers a session, and say how to mend what is wrong.
     Doctor(doctor::Options),
     /// Profiles of the simulated amplifier.
@@ -127,6 +131,7 @@ fn main() -> ExitCode {
         Command::Sources(options) => sources::list(&options),
         Command::Note(options) => note::leave(&options),
         Command::Compare(options) => recorded::compare(&options),
+        Command::Export(options) => export::export(&options),
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),

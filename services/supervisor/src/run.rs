@@ -163,6 +163,10 @@ fn run_locked(
     let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
     watch.plan_recording(plan.map_err(Failure::input)?).map_err(Failure::input)?;
     let watched = watch_until_the_end(&mut watch, options, config, &mut known.task, terminal);
+    let task_report = known.task.as_ref().and_then(|task| task.report(watch.observer().states_lost()));
+    if let Some(Ok(report)) = task_report.map(serde_json::to_value) {
+        watch.keep_task(report);
+    }
     let (usage, stopped) = watch.stop(|state| {
         // What ends the task does not keep the session from ending.
         let _ = known.task.as_mut().map(|task| task.observe(&state.header, state.position_mm()));

@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use tendon_features::FeatureError;
 
+use crate::name::PersonName;
 use crate::person::Person;
 
 const FORMAT: &str = "tendon-person";
@@ -166,6 +167,12 @@ impl Person {
         Person::from_text(&text)
             .map_err(|problem| PersonFileError::Problem { path: path.to_owned(), problem })
     }
+}
+
+/// The name in the text of a person file, also of one that is damaged or of another version; `None` if it names nobody.
+pub fn name_in(text: &str) -> Option<PersonName> {
+    let mut head = text.lines().take_while(|line| !line.starts_with('['));
+    head.find_map(|line| line.strip_prefix("name = \"")?.strip_suffix('"')?.parse().ok())
 }
 
 fn checksum_of(body: &str) -> String {

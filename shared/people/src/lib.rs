@@ -26,7 +26,7 @@ mod update;
 pub use calibration::{Calibration, CalibrationError};
 pub use effort::EffortRange;
 pub use expected::{Expected, HeldOut};
-pub use file::{PersonFileError, PersonProblem};
+pub use file::{PersonFileError, PersonProblem, name_in};
 pub use finding::Finding;
 pub use name::{InvalidName, PersonName};
 pub use person::{Fitted, GestureFit, Made, Person, SignalFit};

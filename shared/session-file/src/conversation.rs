@@ -1,7 +1,7 @@
 //! What the supervisor and the recorder say to each other, a line of JSON each.
 //!
 //! ```text
-//! tendon run ── Told: start, ready, event ──▶ standard input of tendon-recorder; its end means: finish the file
+//! tendon run ── Told: start, ready, event, task ──▶ standard input of tendon-recorder; its end means: finish the file
 //!            ◀── Said: ready, ended ───────── standard output
 //! ```
 
@@ -28,6 +28,8 @@ pub enum Told {
     Start(Box<RecordingStart>),
     /// What the stages said when they were ready, by name.
     Ready(serde_json::Value),
+    /// How the task of the session went, as its report says it; the last that is told.
+    Task(serde_json::Value),
     /// Something unusual happened in the session.
     Event(String),
 }

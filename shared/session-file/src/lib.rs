@@ -3,7 +3,8 @@
 //! ```text
 //! session.mcap   header: profile "tendon"
 //!                metadata   session: name, version of this format, how CLOCK_MONOTONIC becomes the time of day
-//!                           provenance; stages (what each said when it was ready, channels and unit among it)
+//!                           provenance; stages (what each said when it was ready, channels and unit among it);
+//!                           task (how it went)
 //!                attachments   tendon.toml (as run), model, rest_move_model, person
 //!                messages   blocks        tendon-block: see `block.rs`; bit for bit
 //!                           windows       context of each window; its samples follow from the blocks
@@ -60,3 +61,5 @@ pub const MODEL: &str = "model";
 pub const REST_MOVE_MODEL: &str = "rest_move_model";
 /// Name of the attached person.
 pub const PERSON: &str = "person";
+/// Name of the metadata that say how a task went.
+pub const TASK: &str = "task";

@@ -54,6 +54,8 @@ pub(crate) struct Recorder {
     process: Child,
     /// `None` once it is to finish.
     told: Option<ChildStdin>,
+    /// The line that it is told last.
+    last: Option<String>,
     heard: Receiver<Heard>,
     relay: JoinHandle<String>,
     /// The file, once it records.
@@ -83,7 +85,8 @@ impl Recorder {
         };
         let relay = relay(errors)?;
         let heard = hear(output, events.clone())?;
-        let mut recorder = Recorder { process, told: Some(told), heard, relay, path: None, report: None };
+        let mut recorder =
+            Recorder { process, told: Some(told), last: None, heard, relay, path: None, report: None };
         recorder.tell(&Told::Start(Box::new(start.clone())));
         if let Some(told) = &recorder.told {
             // From now on a recorder that hangs misses what it is told, and nobody waits for it.
@@ -100,9 +103,21 @@ impl Recorder {
         }
     }
 
+    /// What it is told last, before it finishes its file.
+    pub(crate) fn tell_last(&mut self, told: &Told) {
+        self.last = serde_json::to_string(told).ok();
+    }
+
     /// Lets it finish its file.
     pub(crate) fn let_finish(&mut self) {
-        self.told = None;
+        let Some(mut pipe) = self.told.take() else { return };
+        let Some(line) = self.last.take() else { return };
+        // It may be longer than the pipe holds. One that hangs is killed later, which ends this thread, too.
+        let tell = move || {
+            let _ = fcntl(&pipe, FcntlArg::F_SETFL(OFlag::empty()));
+            let _ = pipe.write_all(format!("{line}\n").as_bytes());
+        };
+        let _ = std::thread::Builder::new().name("tell recorder".to_owned()).spawn(tell);
     }
 
     /// Whether it was told to finish.

@@ -538,6 +538,13 @@ impl<'a> Watch<'a> {
         (status, last_words)
     }
 
+    /// Keeps in the recording how the task of the session went. Call it before [`Watch::stop`].
+    pub fn keep_task(&mut self, report: serde_json::Value) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.tell_last(&Told::Task(report));
+        }
+    }
+
     /// What came of the recordings so far.
     pub fn recordings(&self) -> &[RecordingReport] {
         &self.recordings

@@ -1,0 +1,484 @@
+//! Exports of made-up sessions, read again.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use tempfile::TempDir;
+use tendon_messages::{Permission, STAGE_COUNT, Stage, StopReason, Truth};
+use tendon_recordings::Signals;
+use tendon_recordings::table::{Channel, Row, Table};
+use tendon_session_file::{
+    Block, CONFIGURATION, CommandRecord, ContextRecord, Cue, Event, EventKind, Message, Number, PERSON,
+    PredictionRecord, StateRecord, TASK, TraceRecord, Writer,
+};
+
+use crate::*;
+
+pub(crate) const RATE_HZ: f64 = 2000.0;
+pub(crate) const BLOCK_SAMPLES: u64 = 10;
+/// When the first sample of the made-up session was captured, CLOCK_MONOTONIC ns.
+pub(crate) const BEGUN_NS: u64 = 5_000_000_000;
+
+/// A session as its topics would show it.
+pub(crate) struct Session {
+    pub(crate) messages: Vec<Message>,
+    pub(crate) channels: usize,
+    next_sample: u64,
+    now_ns: u64,
+    sequence: u64,
+    truth: Truth,
+}
+
+impl Session {
+    pub(crate) fn new(channels: usize) -> Session {
+        Session::beginning_at(channels, BEGUN_NS)
+    }
+
+    pub(crate) fn beginning_at(channels: usize, now_ns: u64) -> Session {
+        let truth = Truth::default();
+        Session { messages: Vec::new(), channels, next_sample: 0, now_ns, sequence: 0, truth }
+    }
+
+    /// The value of a sample: another one everywhere.
+    pub(crate) fn value(channel: usize, sample: u64) -> f32 {
+        (sample as f32 * 0.01).sin() * 100.0 + channel as f32 * 1000.0 + 0.1
+    }
+
+    /// So many blocks, one after the other.
+    pub(crate) fn blocks(&mut self, count: usize) {
+        for _ in 0..count {
+            self.now_ns += BLOCK_SAMPLES * 500_000;
+            let first = self.next_sample;
+            let channels = 0..self.channels;
+            let values = channels.flat_map(|channel| {
+                (first..first + BLOCK_SAMPLES).map(move |sample| Session::value(channel, sample))
+            });
+            self.messages.push(Message::Block(Block {
+                sequence: self.sequence,
+                captured_ns: self.now_ns - 500_000,
+                published_ns: self.now_ns,
+                first_sample: first,
+                sample_rate_hz: RATE_HZ,
+                truth: self.truth,
+                channels: self.channels as u32,
+                samples: BLOCK_SAMPLES as u32,
+                non_finite_samples: 0,
+                values: values.collect(),
+            }));
+            self.sequence += 1;
+            self.next_sample += BLOCK_SAMPLES;
+        }
+    }
+
+    /// Samples that the source lost.
+    pub(crate) fn lose(&mut self, samples: u64) {
+        self.next_sample += samples;
+        self.now_ns += samples * 500_000;
+    }
+
+    /// The source begins anew after so long.
+    pub(crate) fn begin_anew(&mut self, pause_ns: u64) {
+        (self.next_sample, self.sequence) = (0, 0);
+        self.now_ns += pause_ns;
+    }
+
+    pub(crate) fn cue(&mut self, class_number: u8, gesture: &str) {
+        self.messages.push(Message::Cue(Cue {
+            since_sample: self.next_sample,
+            captured_ns: self.now_ns,
+            class_number: Some(class_number),
+            gesture: Some(gesture.to_owned()),
+        }));
+    }
+
+    pub(crate) fn event(&mut self, kind: EventKind, text: &str) {
+        self.messages.push(Message::Event(Event { at_ns: self.now_ns, kind, text: text.to_owned() }));
+    }
+
+    /// A prediction and a command of the window that begins there, with each hop 10 us long and each work 30 us.
+    pub(crate) fn window(&mut self, first_sample: u64) {
+        let mut trace = TraceRecord { captured_ns: self.now_ns - 500_000, ..TraceRecord::default() };
+        for stage in 0..STAGE_COUNT as u64 {
+            trace.received_ns[stage as usize] =
+                if stage == 0 { 0 } else { self.now_ns + stage * 40_000 - 30_000 };
+            trace.published_ns[stage as usize] = self.now_ns + stage * 40_000;
+        }
+        let context = ContextRecord { first_sample, truth: Some(1), activity: 2, ..ContextRecord::default() };
+        let numbers = |numbers: [f32; 6]| numbers.map(Number).to_vec();
+        self.messages.push(Message::Prediction(PredictionRecord {
+            trace,
+            context,
+            novelty: Number(f32::NAN),
+            probabilities: numbers([0.1, 0.6, 0.3, 0.0, 0.0, 0.0]),
+            efforts: numbers([0.0, f32::INFINITY, 0.5, 1.0, 1.0, 1.0]),
+        }));
+        self.messages.push(Message::Command(CommandRecord {
+            trace,
+            context,
+            gesture: 1,
+            voted: 0,
+            confidence: Number(0.6),
+            mode: 0,
+            frame: 1,
+            is_unsure: 0,
+            gripper_toggles: 3,
+            twist: [0.0, -1.5, 0.0, 0.0, 0.25, 0.0].map(Number).to_vec(),
+        }));
+    }
+
+    pub(crate) fn state(&mut self, permission: Permission, reason: Option<StopReason>) {
+        let mut trace = TraceRecord::default();
+        trace.published_ns[Stage::Robot.index()] = self.now_ns + 1_000_000;
+        self.messages.push(Message::State(StateRecord {
+            trace,
+            joints_rad: (0..7).map(|joint| Number(joint as f32)).collect(),
+            position_mm: [300.0, 0.0, 400.0].map(Number).to_vec(),
+            orientation_rad: [3.0, 0.0, 0.5].map(Number).to_vec(),
+            speed_mm_per_s: Number(12.5),
+            gripper_position: Number(850.0),
+            gesture: 1,
+            confidence: Number(0.6),
+            permission: permission.number(),
+            stop_reason: reason.map_or(0, StopReason::number),
+            fault_code: 0,
+            arm_phase: 3,
+            hindrance: 1,
+            start_distance_mm: Number(0.0),
+            mode: 0,
+            is_unsure: 0,
+        }));
+    }
+
+    /// Its file, in a folder of its own.
+    pub(crate) fn file(&self) -> (TempDir, PathBuf) {
+        let mut bytes = Cursor::new(Vec::new());
+        let mut writer = Writer::begin(&mut bytes, "test", BEGUN_NS).unwrap();
+        writer.metadata("provenance", [("json", r#"{"version":"1.2.3"}"#.to_owned())]).unwrap();
+        let configuration =
+            "session = \"test\"\n[dsp.windows]\nwindow_samples = 20\nincrement_samples = 10\n";
+        writer.attach(CONFIGURATION, "application/toml", configuration.as_bytes()).unwrap();
+        let person =
+            b"format = \"tendon-person\"\nversion = 99\n\nname = \"anna\"\n[made]\nname = \"nobody\"\n";
+        writer.attach(PERSON, "application/octet-stream", person).unwrap();
+        let names: Vec<&str> = ["flexor", "2", "a, \"b\""].into_iter().take(self.channels).collect();
+        let stages = serde_json::json!({ "acquisition": { "signal": { "channels": names, "unit": "uV" } } });
+        writer.metadata("stages", [("json", stages.to_string())]).unwrap();
+        for messages in self.messages.chunks(16) {
+            messages.iter().for_each(|message| writer.write(message, self.now_ns).unwrap());
+            writer.flush().unwrap();
+        }
+        writer.metadata(TASK, [("json", TASK_REPORT.to_owned())]).unwrap();
+        writer.finish().unwrap();
+        drop(writer);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("session.mcap");
+        std::fs::write(&path, bytes.into_inner()).unwrap();
+        (folder, path)
+    }
+}
+
+const TASK_REPORT: &str = r#"{"name":"zones","user":"person","seed":0,"shape":"sphere","width_mm":40.0,"dwell_s":1.0,
+    "timeout_s":20.0,"duration_s":30.0,"zones_reached":1,"zones_timed_out":1,"mean_completion_time_s":4.0,
+    "mean_movement_time_s":3.0,"mean_index_of_difficulty_bits":1.5,"throughput_bits_per_s":0.5,"mean_path_efficiency":0.8,
+    "overshoots":0,"box_violations":0,"outside_box_s":0.0,"states_lost":0,"zones":[
+    {"centre_mm":[300.0,10.0,400.0],"distance_mm":80.0,"index_of_difficulty_bits":1.5,"reached":true,"completion_time_s":4.0,
+     "movement_time_s":3.0,"throughput_bits_per_s":0.5,"path_length_mm":100.0,"path_efficiency":0.8,"overshoots":0},
+    {"centre_mm":[300.0,-10.0,420.0],"distance_mm":60.0,"index_of_difficulty_bits":1.3,"reached":false,
+     "completion_time_s":null,"movement_time_s":null,"throughput_bits_per_s":null,"path_length_mm":10.0,
+     "path_efficiency":null,"overshoots":2}]}"#;
+
+/// A session with all that there can be: a gap of 30 samples behind row 40, a source that began anew behind row 60.
+pub(crate) fn eventful() -> Session {
+    let mut session = Session::new(3);
+    session.cue(0, "rest");
+    session.state(Permission::AwaitRest, None);
+    session.blocks(2);
+    session.window(0);
+    session.cue(1, "extension");
+    session.blocks(2);
+    session.event(EventKind::Note, "electrode 3, \"loose\"");
+    session.lose(30);
+    session.blocks(2);
+    session.state(Permission::Granted, None);
+    session.state(Permission::Granted, None);
+    session.begin_anew(1_000_000_000);
+    session.cue(0, "rest");
+    session.blocks(3);
+    session.state(Permission::Stopped, Some(StopReason::Ordered));
+    session.window(0);
+    session
+}
+
+fn survey(path: &Path) -> Survey {
+    Survey::read(path, |_| ()).unwrap()
+}
+
+fn exported(session: &Session) -> (TempDir, PathBuf) {
+    let (folder, path) = session.file();
+    let tables = folder.path().join("tables");
+    write_tables(&survey(&path), &tables, |_| ()).unwrap();
+    (folder, tables)
+}
+
+/// The rows of a table, without the line of names.
+fn rows(folder: &Path, file: &str) -> Vec<Vec<String>> {
+    let rows = csv::Reader::from_path(folder.join(file)).unwrap().into_records();
+    rows.map(|row| row.unwrap().iter().map(str::to_owned).collect()).collect()
+}
+
+fn names(folder: &Path, file: &str) -> Vec<String> {
+    csv::Reader::from_path(folder.join(file)).unwrap().headers().unwrap().iter().map(str::to_owned).collect()
+}
+
+#[test]
+fn the_signal_reads_back_bit_for_bit_with_its_gaps_in_time() {
+    let session = eventful();
+    let (_folder, tables) = exported(&session);
+    let text = std::fs::read(tables.join("signal.csv")).unwrap();
+    let chosen: Vec<Channel> = (0..4).map(Channel::Index).collect();
+    let mut table = Table::open(&text, &chosen).unwrap();
+    let mut frame = [0.0_f32; 4];
+    let mut read = Vec::new();
+    while table.next_row(&text, &mut frame).unwrap() == Row::Samples {
+        read.push(frame);
+    }
+    let samples: Vec<u64> = (0..40).chain(70..90).chain(0..30).collect();
+    assert_eq!(read.len(), samples.len());
+    for (row, (frame, sample)) in read.iter().zip(&samples).enumerate() {
+        for channel in 0..3 {
+            let value = Session::value(channel, *sample);
+            assert_eq!(frame[channel + 1].to_bits(), value.to_bits(), "row {row}, channel {channel}");
+        }
+    }
+    // 0.5 ms from sample to sample, 30 samples lost, and a second until the source began anew.
+    let times: Vec<f64> = rows(&tables, "signal.csv").iter().map(|row| row[0].parse().unwrap()).collect();
+    for (row, time_s) in [(0, 0.0), (39, 0.0195), (40, 0.035), (59, 0.0445), (60, 1.045), (89, 1.0595)] {
+        assert!((times[row] - time_s).abs() < 2e-7, "row {row}: {} s", times[row]);
+    }
+    assert_eq!(names(&tables, "signal.csv"), ["time_s", "flexor", "channel_2", "a_ _b_"]);
+}
+
+#[test]
+fn trials_events_and_windows_lie_on_the_same_axis_as_the_samples() {
+    let (_folder, tables) = exported(&eventful());
+    assert_eq!(
+        rows(&tables, "trials.csv"),
+        [
+            ["0.0000000", "0.0100000", "rest", "0", "20"],
+            // It ended with the last sample before the source began anew.
+            ["0.0100000", "0.0450000", "extension", "20", "60"],
+            ["1.0450000", "1.0600000", "rest", "60", "90"],
+        ]
+    );
+    let events = rows(&tables, "events.csv");
+    let said: Vec<[&str; 2]> = events.iter().map(|row| [row[1].as_str(), row[2].as_str()]).collect();
+    assert_eq!(
+        said,
+        [
+            ["arm", "arm waits for rest"],
+            ["cue", "rest"],
+            ["cue", "extension"],
+            ["note", "electrode 3, \"loose\""],
+            ["arm", "arm follows"],
+            ["cue", "rest"],
+            ["arm", "arm is stopped: stopped by order"],
+        ]
+    );
+    assert_eq!(events[3][0], "0.0200000");
+    let windows = rows(&tables, "predictions.csv");
+    assert_eq!((windows[0][0].as_str(), windows[1][0].as_str()), ("0.0095000", "1.0545000"));
+    let columns = names(&tables, "predictions.csv");
+    let cell = |name: &str| windows[0][columns.iter().position(|column| column == name).unwrap()].as_str();
+    assert_eq!((cell("truth"), cell("activity"), cell("gesture")), ("extension", "move", "extension"));
+    assert_eq!((cell("novelty"), cell("probability_flexion"), cell("effort_extension")), ("", "0.3", "inf"));
+    assert_eq!((cell("acquisition_to_dsp_us"), cell("inference_us")), ("10", "30"));
+    assert_eq!(cell("newest_sample_to_prediction_us"), "580");
+    assert_eq!(rows(&tables, "decisions.csv")[0][2..5], ["extension", "0.6", "rest"]);
+    assert_eq!(rows(&tables, "commands.csv")[0][2..], ["tool", "0", "-1.5", "0", "0", "0.25", "0", "3"]);
+    assert_eq!(rows(&tables, "arm.csv").len(), 4);
+    assert_eq!(rows(&tables, "zones.csv")[1][6..10], ["0", "", "", ""]);
+}
+
+#[test]
+fn every_column_is_described_and_the_session_says_what_it_is() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let (_folder, tables) = exported(&eventful());
+    let json = |file: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(tables.join(file)).unwrap()).unwrap()
+    };
+    let described = json("columns.json");
+    for (table, columns) in described.as_object().unwrap() {
+        let columns = columns.as_array().unwrap().iter().map(|column| column["name"].as_str().unwrap());
+        assert_eq!(columns.collect::<Vec<_>>(), names(&tables, &format!("{table}.csv")), "{table}");
+    }
+    assert_eq!(described["signal"][1]["unit"], "uV");
+    let session = json("session.json");
+    assert_eq!((&session["person"], &session["provenance"]["version"]), (&"anna".into(), &"1.2.3".into()));
+    assert_eq!((&session["samples"], &session["recording"]["is_whole"]), (&90.into(), &true.into()));
+    assert_eq!(session["gaps"].as_array().unwrap().len(), 2);
+    let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    assert_eq!(mode(&tables), 0o700);
+    let files: Vec<PathBuf> =
+        std::fs::read_dir(&tables).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(files.len(), TABLES.len(), "{files:?}");
+    assert!(files.iter().all(|file| mode(file) == 0o600), "{files:?}");
+}
+
+#[test]
+fn a_file_that_was_cut_is_exported_up_to_there_and_one_without_samples_is_refused() {
+    let mut session = eventful();
+    session.blocks(200);
+    let (folder, path) = session.file();
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let cut = survey(&path);
+    assert!(!cut.is_whole && cut.samples > 0, "{cut:?}");
+    let tables = folder.path().join("tables");
+    write_tables(&cut, &tables, |_| ()).unwrap();
+    assert_eq!(rows(&tables, "signal.csv").len() as u64, cut.samples);
+    let (_folder, path) = Session::new(1).file();
+    assert!(matches!(Survey::read(&path, |_| ()), Err(ExportError::NoSamples { .. })));
+}
+
+#[test]
+fn an_export_that_fails_leaves_nothing() {
+    let (folder, path) = eventful().file();
+    let surveyed = survey(&path);
+    std::fs::remove_file(&path).unwrap();
+    let tables = folder.path().join("tables");
+    assert!(write_tables(&surveyed, &tables, |_| ()).is_err());
+    assert_eq!(std::fs::read_dir(&tables).unwrap().count(), 0);
+}
+
+/// A file in the only folder of recordings of a data set, by its ending.
+fn bids_file(data_set: &Path, session: usize, ending: &str) -> PathBuf {
+    let mut sessions: Vec<PathBuf> =
+        std::fs::read_dir(data_set.join("sub-anna")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    sessions.sort();
+    let files = std::fs::read_dir(sessions[session].join("emg")).unwrap().map(|entry| entry.unwrap().path());
+    files.into_iter().find(|file| file.to_str().unwrap().ends_with(ending)).unwrap()
+}
+
+#[test]
+fn a_data_set_has_each_session_with_its_gaps() {
+    let (folder, path) = eventful().file();
+    let data_set = folder.path().join("study");
+    let facts = BidsFacts { reference: Some("Bipolar".to_owned()), ..BidsFacts::default() };
+    let written = write_bids(&survey(&path), &facts, &data_set, false, |_| ()).unwrap();
+    assert_eq!(written, bids_file(&data_set, 0, "task-zones_emg.bdf"));
+    let bytes = std::fs::read(&written).unwrap();
+    let text = |at: usize, width: usize| std::str::from_utf8(&bytes[at..at + width]).unwrap().trim_end();
+    let number = |at: usize, width: usize| text(at, width).parse::<f64>().unwrap();
+    assert_eq!((text(192, 44), text(8, 80)), ("BDF+D", "anna X X X"));
+    let (head, records) = (number(184, 8) as usize, number(236, 8) as usize);
+    assert_eq!(head, 256 * 5);
+    let samples = number(256 + 4 * 216, 8) as usize;
+    assert!((number(244, 8) * RATE_HZ - samples as f64).abs() < 1e-9);
+    assert_eq!(text(256, 64), "flexor          2               a, \"b\"          BDF Annotations");
+    let record_length = (bytes.len() - head) / records;
+    assert_eq!(bytes.len(), head + records * record_length);
+    // Each record says when it begins; what the records hold is what was recorded, to one digit of 24 bits.
+    let expected: Vec<(f64, u64)> = [(0.0, 0, 40), (0.035, 70, 90), (1.045, 0, 30)]
+        .into_iter()
+        .flat_map(|(start_s, from, to)| {
+            (from..to).map(move |sample| (start_s + (sample - from) as f64 / RATE_HZ, sample))
+        })
+        .collect();
+    let mut read = 0;
+    let subsecond_s = survey(&path).begun_at.duration_since(std::time::UNIX_EPOCH).unwrap().subsec_nanos();
+    for record in bytes[head..].chunks(record_length) {
+        let said = String::from_utf8_lossy(&record[3 * samples * 3..]).into_owned();
+        let start_s: f64 = said.split('\u{14}').next().unwrap().parse().unwrap();
+        let start_s = start_s - f64::from(subsecond_s) * 1e-9;
+        for sample in 0..samples {
+            let at_s = start_s + sample as f64 / RATE_HZ;
+            let Some((_, number_of_sample)) =
+                expected.iter().find(|(time_s, _)| (time_s - at_s).abs() < 1e-5)
+            else {
+                continue;
+            };
+            read += 1;
+            for channel in 0..3 {
+                let at = 3 * (channel * samples + sample);
+                let digital = i32::from_le_bytes([0, record[at], record[at + 1], record[at + 2]]) >> 8;
+                let [low, high] = [104, 112].map(|place| number(256 + 4 * place + 8 * channel, 8));
+                let value = (f64::from(digital) + 8_388_608.0) / 16_777_215.0 * (high - low) + low;
+                let expected = f64::from(Session::value(channel, *number_of_sample));
+                assert!((value - expected).abs() <= (high - low) / 16_777_215.0, "{value} {expected}");
+            }
+        }
+    }
+    assert_eq!(read, 90);
+    let json =
+        |file: &Path| -> serde_json::Value { serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap() };
+    let recording = json(&bids_file(&data_set, 0, "_emg.json"));
+    assert_eq!(
+        (&recording["RecordingType"], &recording["EMGReference"]),
+        (&"discontinuous".into(), &"Bipolar".into())
+    );
+    assert_eq!((&recording["EMGChannelCount"], &recording["PowerLineFrequency"]), (&3.into(), &"n/a".into()));
+    let events = std::fs::read_to_string(bids_file(&data_set, 0, "_events.tsv")).unwrap();
+    assert!(events.contains("0.010000\t0.035000\tgesture\textension\n"), "{events}");
+    let channels = std::fs::read_to_string(bids_file(&data_set, 0, "_channels.tsv")).unwrap();
+    assert_eq!(channels.lines().nth(1), Some("flexor\tEMG\tuV\tflexor"));
+
+    // The same again is refused, replaced if wanted; another session joins it, and what a person wrote stays.
+    let again = write_bids(&survey(&path), &facts, &data_set, false, |_| ());
+    assert!(matches!(again, Err(ExportError::Exists { .. })), "{again:?}");
+    write_bids(&survey(&path), &facts, &data_set, true, |_| ()).unwrap();
+    std::fs::write(data_set.join("README"), "mine").unwrap();
+    let mut other = Session::beginning_at(2, BEGUN_NS + 3_600_000_000_000);
+    other.blocks(3);
+    let (_other_folder, other) = other.file();
+    write_bids(&survey(&other), &BidsFacts::default(), &data_set, false, |_| ()).unwrap();
+    assert_eq!(json(&bids_file(&data_set, 1, "_emg.json"))["RecordingType"], "continuous");
+    assert_eq!(std::fs::read_to_string(data_set.join("README")).unwrap(), "mine");
+    let participants = std::fs::read_to_string(data_set.join("participants.tsv")).unwrap();
+    assert_eq!(participants, "participant_id\tpseudonym\nsub-anna\tanna\n");
+}
+
+#[test]
+fn streams_are_on_one_clock() {
+    let (_folder, path) = eventful().file();
+    let mut bytes = Vec::new();
+    write_xdf(&survey(&path), &mut bytes, |_| ()).unwrap();
+    let contains = |part: &[u8]| bytes.windows(part.len()).any(|window| window == part);
+    assert!(contains(b"<sample_count>90</sample_count>") && contains(b"<unit>uV</unit>"));
+    let stamped = |at_s: f64, value: &[u8]| contains(&[&[8], &at_s.to_le_bytes()[..], value].concat());
+    // The first sample, and those behind the gaps.
+    for (time_s, sample) in [(0.0, 0), (0.035, 70)] {
+        assert!(stamped(5.0 + time_s, &Session::value(0, sample).to_le_bytes()), "sample {sample}");
+    }
+    assert!(
+        contains(b"\x04rest") && contains(b"cue extension") && contains(b"arm is stopped: stopped by order")
+    );
+}
+
+#[test]
+fn what_is_exported_is_read_again_with_its_gaps_and_cues() {
+    let (folder, path) = eventful().file();
+    let survey = survey(&path);
+    let bdf =
+        write_bids(&survey, &BidsFacts::default(), &folder.path().join("study"), false, |_| ()).unwrap();
+    let xdf = folder.path().join("session.xdf");
+    write_xdf(&survey, &mut std::fs::File::create(&xdf).unwrap(), |_| ()).unwrap();
+    let read = |file: &Path| Signals::read(file, &["a, \"b\"".into(), "flexor".into()]).unwrap();
+    let [bdf, xdf] = [read(&bdf), read(&xdf)];
+    // Rows 0 to 39, 40 to 59 behind 30 lost ones, and 30 more of a source that began anew a second later.
+    let numbers: Vec<u64> = (0..40).chain(70..90).chain(0..30).collect();
+    for (column, channel) in xdf.columns.iter().zip([2, 0]) {
+        assert!(column.iter().copied().eq(numbers.iter().map(|number| Session::value(channel, *number))));
+    }
+    let gaps: Vec<(u64, u64)> = xdf.gaps.iter().map(|gap| (gap.before_sample, gap.lost_samples)).collect();
+    assert_eq!(gaps, [(40, 30), (60, 2000)]);
+    let cues: Vec<(&str, u64)> = xdf.cues.iter().map(|cue| (cue.gesture.name(), cue.start_sample)).collect();
+    assert_eq!(cues, [("rest", 0), ("extension", 20), ("rest", 60)]);
+    assert_eq!((xdf.unit.as_str(), xdf.sample_rate_hz, xdf.notices.len()), ("uV", RATE_HZ, 0));
+    // Records of one length may fill a gap, but nothing is lost or moved.
+    let step = 3000.0 / 16_777_215.0;
+    let is_near = |(read, written): (&f32, &f32)| (read - written).abs() <= step;
+    assert!(bdf.columns[0][..40].iter().zip(&xdf.columns[0][..40]).all(is_near));
+    assert_eq!((bdf.gaps.len(), bdf.unit.as_str(), bdf.sample_rate_hz), (1, "uV", RATE_HZ));
+    assert!(bdf.cues.iter().map(|cue| cue.gesture.name()).eq(["rest", "extension", "rest"]));
+}
