@@ -205,6 +205,7 @@ mod tests {
             content_type: "EMG".to_owned(),
             source_id: "a1".to_owned(),
             uid: "u".to_owned(),
+            created_s: 0.0,
             hostname: "laboratory".to_owned(),
             channels: 3,
             sample_rate_hz: 2000.0,

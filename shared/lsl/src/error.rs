@@ -20,7 +20,7 @@ pub enum LslError {
         reason: String,
     },
     /// The stream ended, or its connection.
-    #[error("the stream `{stream}` is lost")]
+    #[error("the stream `{stream}` has ended, or the connection to it: start its program again")]
     Lost {
         /// Its name.
         stream: String,

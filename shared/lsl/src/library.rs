@@ -53,6 +53,7 @@ functions! {
     get_type(Info) -> Text;
     get_source_id(Info) -> Text;
     get_uid(Info) -> Text;
+    get_created_at(Info) -> f64;
     get_hostname(Info) -> Text;
     get_channel_count(Info) -> i32;
     get_channel_format(Info) -> i32;

@@ -77,6 +77,8 @@ pub struct StreamFacts {
     pub source_id: String,
     /// Of this one outlet: another one after a restart.
     pub uid: String,
+    /// When this outlet was made, s on the clock of its computer.
+    pub created_s: f64,
     /// The computer that sends it.
     pub hostname: String,
     /// Number of channels.
@@ -87,6 +89,17 @@ pub struct StreamFacts {
     pub format: Format,
     /// Its channels; empty if the stream describes none, or was not asked.
     pub channel_facts: Vec<ChannelFacts>,
+}
+
+impl StreamFacts {
+    /// Whether `other` is a later outlet of the same device: this one's program has ended, but still seems to be there for some
+    /// seconds. Streams without a source id are never taken for the same.
+    fn is_replaced_by(&self, other: &StreamFacts) -> bool {
+        let origin = |facts: &StreamFacts| {
+            (facts.name.clone(), facts.content_type.clone(), facts.source_id.clone(), facts.hostname.clone())
+        };
+        !self.source_id.is_empty() && origin(self) == origin(other) && self.created_s < other.created_s
+    }
 }
 
 impl fmt::Display for StreamFacts {
@@ -157,6 +170,7 @@ unsafe fn facts(lsl: Lsl, info: Info) -> StreamFacts {
             content_type: text((functions.get_type)(info)),
             source_id: text((functions.get_source_id)(info)),
             uid: text((functions.get_uid)(info)),
+            created_s: (functions.get_created_at)(info),
             hostname: text((functions.get_hostname)(info)),
             channels,
             sample_rate_hz: (functions.get_nominal_srate)(info),
@@ -211,7 +225,8 @@ impl Lsl {
             return Ok(first);
         }
         let all = self.resolve(settings, 0, OTHERS)?;
-        Ok(if all.len() > first.len() { all } else { first })
+        // An outlet that has just ended may be the only one that answered at first.
+        Ok(if all.is_empty() { first } else { all })
     }
 
     /// The same, but only those that answer as soon as the first one.
@@ -239,6 +254,37 @@ impl Lsl {
         let count = usize::try_from(resolve(&mut infos)).unwrap_or(0);
         infos.truncate(count);
         // SAFETY: liblsl wrote so many handles, which are the caller's.
-        infos.into_iter().map(|info| unsafe { Stream::own(self, info) }).collect()
+        let mut streams: Vec<Stream> =
+            infos.into_iter().map(|info| unsafe { Stream::own(self, info) }).collect();
+        let all: Vec<StreamFacts> = streams.iter().map(|stream| stream.facts.clone()).collect();
+        streams.retain(|stream| !all.iter().any(|other| stream.facts.is_replaced_by(other)));
+        streams
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_outlet_is_replaced_by_a_later_one_of_the_same_device_and_by_no_other() {
+        let of = |source_id: &str, hostname: &str, created_s| StreamFacts {
+            name: "Armband".to_owned(),
+            content_type: "EMG".to_owned(),
+            source_id: source_id.to_owned(),
+            uid: created_s.to_string(),
+            created_s,
+            hostname: hostname.to_owned(),
+            channels: 8,
+            sample_rate_hz: 1000.0,
+            format: Format::Float32,
+            channel_facts: Vec::new(),
+        };
+        let old = of("serial 1", "lab", 10.0);
+        assert!(old.is_replaced_by(&of("serial 1", "lab", 11.0)));
+        assert!(!old.is_replaced_by(&old) && !of("serial 1", "lab", 11.0).is_replaced_by(&old));
+        assert!(!old.is_replaced_by(&of("serial 2", "lab", 11.0)));
+        assert!(!old.is_replaced_by(&of("serial 1", "clinic", 11.0)));
+        assert!(!of("", "lab", 10.0).is_replaced_by(&of("", "lab", 11.0)), "without an id nobody knows");
     }
 }
