@@ -97,7 +97,8 @@ pub fn check_recording(config: &Config) -> anyhow::Result<()> {
         return Ok(());
     }
     let settings = acquisition.replay.recording(acquisition.channels);
-    let Ok(recording) = RecordingSource::open(path, &settings) else { return Ok(()) };
+    let opened = settings.and_then(|settings| RecordingSource::open(path, &settings));
+    let Ok(recording) = opened else { return Ok(()) };
     let models = of_session(config);
     check(models.iter().map(PathBuf::as_path), "the recording gives", &recording.chosen())
 }
