@@ -83,7 +83,8 @@ class InBrowser(unittest.TestCase):
         page.wait_for(f"{picture} !== {json.dumps(page.value(picture))}")
         self.session.gesture = "extension"
         page.wait_for(f"{TITLE} === 'Following · extension: up · 0.93'")
-        page.wait_for("document.querySelector('#hand use').getAttribute('href') === '/hands.svg#extension'")
+        page.wait_for("document.querySelector('#hand use').getAttribute('href') === '#hand-extension'"
+                      " && document.querySelector('#hand use').getBBox().width > 50")
         page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")
         self.assertEqual(page.value("document.querySelectorAll('#hops tr').length"), 4)
         self.screenshot(page, "following")

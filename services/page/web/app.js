@@ -11,7 +11,7 @@ import { Connection } from "./connection.js";
 import { Latency } from "./latency.js";
 import { Orders } from "./orders.js";
 import { readColours } from "./paint.js";
-import { Recognition } from "./recognition.js";
+import { loadHands, Recognition } from "./recognition.js";
 import { SessionFacts } from "./session.js";
 import { standing } from "./state.js";
 import { chooseLanguage, language, languages, loadTexts, show, text } from "./texts.js";
@@ -19,7 +19,7 @@ import { Traces } from "./traces.js";
 
 const byId = (id) => document.getElementById(id);
 
-await loadTexts();
+await Promise.all([loadTexts(), loadHands()]);
 readColours();
 
 let hello = null;

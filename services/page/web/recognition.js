@@ -21,6 +21,15 @@ function modeIndex(hello, state) {
   return typeof state.mode === "number" ? state.mode : hello.modes.findIndex(({ name }) => name === state.mode);
 }
 
+/** Puts the drawings into the document, from where they are shown at once whenever the gesture changes. */
+export async function loadHands() {
+  const file = await (await fetch("/hands.svg")).text();
+  const drawings = document.importNode(new DOMParser().parseFromString(file, "image/svg+xml").documentElement, true);
+  drawings.setAttribute("class", "for-ears");
+  drawings.setAttribute("aria-hidden", "true");
+  document.body.append(drawings);
+}
+
 export class Recognition {
   constructor() {
     const byId = (id) => document.getElementById(id);
@@ -53,7 +62,7 @@ export class Recognition {
     const { hello } = this;
     const voted = state.voted ?? state.gesture;
     const drawing = state.unsure ? "unsure" : DRAWN.includes(voted) ? voted : "other";
-    const href = `/hands.svg#${drawing}`;
+    const href = `#hand-${drawing}`;
     const use = this.hand.firstElementChild;
     if (use.getAttribute("href") !== href) use.setAttribute("href", href);
     this.decided.classList.toggle("is-unsure", Boolean(state.unsure));
