@@ -126,21 +126,26 @@ pub(crate) fn trials(
     let rate_hz = settings.sample_rate_hz;
     let source = recording.open(settings)?;
     let mut notices: Vec<String> = source.notices().iter().map(ToString::to_string).collect();
+    let notices_at_start = notices.len();
     let mut filter =
         settings.filter.as_ref().map(|filter| EmgFilter::new(filter, channels, rate_hz)).transpose()?;
     // Taken by pieces: the blocks' length is for replays.
     let mut stream = ReplayStream::of(source, rate_hz, 1)?;
     notices.extend(stream.rate_notice().map(|notice| notice.to_string()));
     let segments = stream.source().segments().to_vec();
-    let is_divided = segments.iter().any(|segment| segment.end_sample.is_some());
+    let mut is_divided = segments.iter().any(|segment| segment.end_sample.is_some());
     let mut piece = Vec::new();
     let mut samples = 0;
     let mut signal = Signal { channels: vec![Vec::new(); channels], samples: 0, replaced_samples: 0 };
     let mut segment = 0;
     let mut first_sample = 0;
+    let mut next_sample = 0;
     loop {
         let block = stream.next_piece(&mut piece, PIECE_SAMPLES)?;
-        if block.is_none_or(|block| block.segment != segment) {
+        // Missing samples end a trial; what comes after them is another one.
+        let is_gap = block.is_some_and(|block| block.segment == segment && block.first_sample != next_sample);
+        is_divided |= is_gap;
+        if is_gap || block.is_none_or(|block| block.segment != segment) {
             let part = Part { recording, segment: &segments[segment], first_sample, is_divided };
             // A trial that the file does not contain to its end is reported below.
             let is_cut_off = block.is_none() && part.ends_after(stream.source().position());
@@ -151,11 +156,12 @@ pub(crate) fn trials(
                 return Ok((notices, samples));
             }
             signal.clear();
-            first_sample = block.map_or(0, |block| block.cue_since);
+            first_sample = block.map_or(0, |block| block.first_sample);
         }
         let Some(block) = block else { break };
         segment = block.segment;
         let piece_samples = piece.len() / channels;
+        next_sample = block.first_sample + piece_samples as u64;
         samples += piece_samples as u64;
         if let Some(filter) = &mut filter {
             signal.replaced_samples += filter.process_all(&mut piece, 0..piece_samples);
@@ -166,7 +172,9 @@ pub(crate) fn trials(
             signal.channels.iter_mut().for_each(Vec::clear);
         }
     }
-    let file_samples = stream.source().position();
+    let source = stream.source();
+    notices.extend(source.notices().iter().skip(notices_at_start).map(ToString::to_string));
+    let file_samples = source.position();
     let cut_off = segments[segment..].iter().filter(|segment| segment.repetition.is_some());
     for segment in cut_off {
         let part = Part { recording, segment, first_sample, is_divided };

@@ -123,6 +123,12 @@ impl Pipeline {
         Ok(())
     }
 
+    /// Tells that `lost_samples` samples of every channel are missing before the next block: no window and no vote spans them.
+    pub fn gap(&mut self, lost_samples: u64) {
+        self.chain.gap(lost_samples);
+        self.decider.restart();
+    }
+
     /// Takes a block, `[channels × samples]`, and gives what became of each window that it completes.
     ///
     /// # Errors
