@@ -123,7 +123,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Tells that `lost_samples` samples of every channel are missing before the next block: no window and no vote spans them.
+    /// Tells the pipeline that so many samples of every channel are missing before the next block: no window spans them, and
+    /// votes from before say nothing about what follows.
     pub fn gap(&mut self, lost_samples: u64) {
         self.chain.gap(lost_samples);
         self.decider.restart();
