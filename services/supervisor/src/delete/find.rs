@@ -110,7 +110,7 @@ impl Found {
     }
 
     fn search_to(&mut self, folder: &Path, name: &PersonName, deepest: usize) -> anyhow::Result<()> {
-        if self.kept.iter().any(|kept| kept.path == folder && matches!(kept.how, How::Folder)) {
+        if self.kept.iter().any(|kept| folder.starts_with(&kept.path) && matches!(kept.how, How::Folder)) {
             return Ok(());
         }
         if self.take_folder(folder, name) {
