@@ -56,24 +56,29 @@ fn at_full_speed_every_block_and_window_of_a_table_comes_through() {
 }
 
 #[test]
-fn the_columns_of_a_table_are_named() {
+fn the_columns_of_a_table_are_named_and_its_time_gives_the_rate_and_the_gaps() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("emg.csv");
-    let samples = "0.001,1,2,3,4\n".repeat(2000);
+    // 100 ms are missing in the middle.
+    let row = |row: usize| {
+        format!("{:.4},{},2,3,4\n", (row + if row < 1000 { 0 } else { 200 }) as f64 / 2000.0, row % 7)
+    };
+    let samples: String = (0..2000).map(row).collect();
     std::fs::write(&path, format!("time,flexor,extensor,thumb,ulna\n{samples}")).unwrap();
     let run = |channels: &[&str]| {
         let builder = TendonBuilder::run(&unique_session()).args(&["--pace", "full", "--realtime", "off"]);
-        builder.args(&["--replay-rate-hz", "2000", "--replay"]).arg(&path).args(channels).end()
+        builder.arg("--replay").arg(&path).args(channels).end()
     };
     let ended = run(&[]);
-    assert!(ended.output.contains("columns time, flexor, extensor, thumb\n"), "{ended:#?}");
+    assert!(ended.output.contains("at 2000 Hz, columns flexor, extensor, thumb, ulna\n"), "{ended:#?}");
+    assert!(ended.errors.contains("200 samples are missing in 1 place"), "{ended:#?}");
+    assert!(ended.errors.contains("channel extensor was constant (2)"), "{ended:#?}");
+    let ended = run(&["--set", "acquisition.replay.channels=[2,1,0,3]"]);
+    assert!(ended.output.contains("columns extensor, flexor, time, thumb\n"), "{ended:#?}");
     assert!(
-        ended.errors.contains("its first columns are taken: time, flexor, extensor, thumb"),
+        ended.errors.contains("column `time` is taken as EMG, as asked, but looks like time"),
         "{ended:#?}"
     );
-    let ended = run(&["--set", "acquisition.replay.channels=[2,1,4,3]"]);
-    assert!(ended.output.contains("columns extensor, flexor, ulna, thumb\n"), "{ended:#?}");
-    assert!(!ended.errors.contains("first columns"), "{ended:#?}");
 }
 
 #[test]

@@ -77,9 +77,10 @@ def write_card(
     data, unit, credit = source(manifest)
     what = {"cnn": "1D CNN", "lstm": "LSTM"}[network]
     # Whom or what the test windows are of.
-    sessions = manifest.get("split", {}).get("test_sessions")
+    split = manifest.get("split", {})
+    is_part = split.get("test_sessions") or split.get("test_repetitions")
     test = (
-        f"Test on what was held out: {recipe['held out for test']}" if sessions else "Test on people never seen in training"
+        f"Test on what was held out: {recipe['held out for test']}" if is_part else "Test on people never seen in training"
     )
     card = f"""# {out.name}
 

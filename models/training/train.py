@@ -8,7 +8,7 @@
 
 DIR is the output of `tendon dataset build --test-people P,…`: windows that went through the same filters, onset detection
 and windowing as the live pipeline. The data set says which windows are for training, validation and test. The test people
-are never seen in training; with `--test-sessions`, a session of people that is held out. The epoch with the best validation accuracy is exported. A model of envelopes
+are never seen in training; with `--test-sessions` or `--test-repetitions`, a part of people that is held out. The epoch with the best validation accuracy is exported. A model of envelopes
 (`dataset build --input envelope`) or an LSTM can be evaluated, but not run live.
 
 Beside OUT this writes the model card (OUT with the ending .md) and prints the same numbers. An interrupted training
@@ -286,6 +286,8 @@ def run(arguments, stop_after: int | None = None) -> float:
     metadata["tendon.data_set"] = dataset.manifest.get("data_set") or "own recordings"
     if split.get("test_sessions"):
         metadata["tendon.held_out_sessions"] = json.dumps(split["test_sessions"])
+    if split.get("test_repetitions"):
+        metadata["tendon.held_out_repetitions"] = json.dumps(split["test_repetitions"])
     partial = arguments.out.with_suffix(".partial.onnx")
     export(model.cpu(), dataset.shape, metadata, partial)
     sample = dataset.test[:: max(1, len(dataset.test) // 256)]

@@ -9,6 +9,7 @@ use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Truth;
 use tendon_process::SignalDescription;
 use tendon_recordings::ReplayStream;
+use tendon_recordings::table::Rate;
 use tendon_source::{BlockMaker, MadeBlock, Pace, Paced, Source, SourceError};
 use tendon_transport::Delivery;
 
@@ -145,18 +146,12 @@ impl Recording {
             tracing::info!("{notice}");
         }
         let columns = summary.channels.join(", ");
-        if settings.replay.channels.is_none() && !tendon_recordings::three_dc::is_three_dc(path) {
-            tracing::warn!(
-                "{}: its first columns are taken: {columns}; if one is a time stamp, name the channels: \
-                 acquisition.replay.channels",
-                path.display()
-            );
-        }
         let description = format!(
-            "{}, {:.1} s at {} Hz, columns {columns}",
+            "{}, {:.1} s at {} Hz, columns {columns}{}",
             path.display(),
             summary.duration_s,
-            summary.sample_rate_hz
+            Rate(summary.sample_rate_hz),
+            if summary.unit.is_empty() { String::new() } else { format!(", in {}", summary.unit) }
         );
         let gestures = config.decision.gestures.clone();
         Ok((Recording { stream, next_sample: 0, gestures }, description))

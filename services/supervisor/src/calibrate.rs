@@ -28,12 +28,11 @@ use tendon_people::{
     ChannelQuality, ChannelShift, Expected, GestureFit, HeldOut, Made, People, Person, PersonName,
 };
 use tendon_provenance::Provenance;
-use tendon_recordings::{Channel, RecordedSession, SkippedKind};
-use tendon_signal::canonical_unit;
+use tendon_recordings::{RecordedSession, SkippedKind};
 
 use crate::Failure;
-use crate::channels::{channels_or_default, named_by_recordings};
-use crate::options::{Base, WINDOW_KEYS, named_channel, unit};
+use crate::channels::channels_or_default;
+use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
 use crate::output::{checked_private, left_out, print};
 use crate::personal::{WINDOWS, calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
@@ -65,16 +64,8 @@ pub struct Options {
     /// recorded].
     #[arg(long, value_name = "GESTURE,…", value_delimiter = ',')]
     gestures: Vec<Gesture>,
-    /// Channels of the recordings, by number or by the name in the header of a table; a session with the person has them in
-    /// this order [default: all of what Tendon recorded and of tables with at most four, otherwise 0,3,5,8].
-    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = named_channel, requires = "from")]
-    channels: Vec<Channel>,
-    /// Sampling rate of recordings that do not state it, Hz.
-    #[arg(long, value_name = "HZ", requires = "from")]
-    recording_rate_hz: Option<f64>,
-    /// Unit of recordings that do not state it: V, mV, uV, nV or adc_counts. A session of another unit is refused.
-    #[arg(long, value_name = "UNIT", value_parser = unit, requires = "from")]
-    unit: Option<String>,
+    #[command(flatten)]
+    recording: RecordingOptions,
     #[command(flatten)]
     base: Base,
     /// Put the person in the place of the one who has this name.
@@ -114,6 +105,11 @@ pub fn calibrate(options: &Options) -> Result<(), Failure> {
     let people = People::open().map_err(Failure::input)?;
     let _reserved = people.reserve(&options.name).map_err(Failure::input)?;
     if options.from.is_empty() {
+        if let Some(option) = options.recording.given() {
+            return Err(Failure::input(anyhow!(
+                "{option} is for recordings: name some with --from, or leave {option} out"
+            )));
+        }
         return guided::calibrate(options, &people, json.as_ref(), begun);
     }
     if !options.replace {
@@ -200,25 +196,13 @@ fn settings_of(
     let recorded = paths.first().map_or(Ok(None), |path| RecordedSession::read(path))?;
     let mut settings = match &recorded {
         Some(recorded) => recorded_settings(config, recorded),
-        None => calibration_settings(config, &[], options.recording_rate_hz),
+        None => calibration_settings(config, &[], options.recording.recording_rate_hz),
     };
-    if !options.channels.is_empty() {
-        settings.channels = named_by_recordings(&options.channels, &settings, paths)?;
-    } else if recorded.is_none() {
-        settings.channels = channels_or_default(&[], &settings, paths)?;
+    let given = &options.recording.channels;
+    if !given.is_empty() || recorded.is_none() {
+        settings.channels = channels_or_default(given, &settings, paths)?;
     }
     Ok((settings, recorded))
-}
-
-/// The unit of the recordings in its canonical spelling, as they say themselves or the option does; empty if nobody does.
-fn unit_of(options: &Options, recorded: Option<&RecordedSession>) -> anyhow::Result<String> {
-    let own = recorded.map_or("", |recorded| canonical_unit(&recorded.unit));
-    let Some(unit) = &options.unit else { return Ok(own.to_owned()) };
-    ensure!(
-        own.is_empty() || own == unit,
-        "--unit {unit}: the recording says that it is in {own}: leave --unit out"
-    );
-    Ok(unit.clone())
 }
 
 /// Fits the person to the recordings, with the prior of others where it fits. `clipped_shares` are those of the channels, as
@@ -233,8 +217,8 @@ fn fit(
     let shipped = shipped_prior()?;
     let config = personal_windows(config.clone(), options.base.sets(WINDOWS));
     let (settings, recorded) = settings_of(options, &config, selection.paths)?;
-    let unit = unit_of(options, recorded.as_ref())?;
     let found = list(&settings, selection.paths)?;
+    let unit = options.recording.unit_of(&found.unit)?;
     let recordings = of_one_person(options, found.recordings)?;
     let number = recordings[0].person;
     let mut skipped: Vec<LeftOut> = found.skipped.iter().map(LeftOut::from).collect();

@@ -1,64 +1,64 @@
 //! Which channels of recordings are taken where nobody says which.
 //!
 //! ```text
-//! recorded by Tendon                 all of them
-//! tables of at most four columns     all of them
-//! others                             0, 3, 5, 8, or a refusal where there are not so many
+//! recorded by Tendon         all of them
+//! your own recordings        the first four that look like EMG (see `tendon_recordings::muscles`), or all, if they are fewer
+//! 3DC, Ozdemir               0, 3, 5, 8
 //! ```
 
 use std::path::PathBuf;
 
 use anyhow::ensure;
-use tendon_dataset::{DatasetSettings, Layout, list};
-use tendon_recordings::{Channel, RecordedSession};
+use tendon_dataset::{DatasetSettings, Layout, Recording, list};
+use tendon_recordings::{Channel, RecordedSession, muscles};
 
 /// Of the 3DC armband, those that come nearest to the places of the paper's electrodes.
 const DEFAULT: [usize; 4] = [0, 3, 5, 8];
 
-/// The channels `given`, or else those that the recordings at or below `paths` are taken to have. The channels of `settings` do
+/// The channels `given`, by the names that the recordings at or below `paths` give them, or else those that the recordings at or below `paths` are taken to have. The channels of `settings` do
 /// not matter.
 ///
 /// # Errors
 ///
-/// The recordings cannot be listed, or have too few channels and too many to choose among them.
+/// The recordings cannot be listed, or have no channel that looks like EMG.
 pub fn channels_or_default(
-    given: &[usize],
+    given: &[Channel],
     settings: &DatasetSettings,
     paths: &[PathBuf],
 ) -> anyhow::Result<Vec<Channel>> {
     if !given.is_empty() {
-        return Ok(given.iter().copied().map(Channel::Index).collect());
+        return named_by_recordings(given, settings, paths);
     }
-    let default = || DEFAULT.map(Channel::Index).to_vec();
     let found = list(settings, paths)?;
     if found.layout != Layout::Labelled {
-        return Ok(default());
+        return Ok(of_three_dc());
     }
     // What cannot be read is said when it is used.
-    let readable =
-        |recording| Some((recording, tendon_dataset::Recording::file_channels(recording, settings).ok()?));
-    let Some((recording, channels)) = found.recordings.iter().find_map(readable) else {
-        return Ok(default());
+    let readable = |recording: &Recording| recording.file_channels(settings).is_ok();
+    let Some(recording) = found.recordings.iter().find(|recording| readable(recording)) else {
+        return Ok(of_three_dc());
     };
-    if channels.len() <= DEFAULT.len() || RecordedSession::beside(&recording.path)?.is_some() {
-        return Ok(channels);
+    let mut channels = muscles(&recording.path)?;
+    if RecordedSession::beside(&recording.path)?.is_none() {
+        channels.truncate(DEFAULT.len());
     }
     ensure!(
-        DEFAULT.iter().all(|channel| *channel < channels.len()),
-        "{} has {} channels ({}): say which to take, in which order, such as --channels 0,1,2,3",
+        !channels.is_empty(),
+        "{}: no channel looks like EMG ({}): say which to take, such as --channels 0,1,2,3",
         recording.path.display(),
-        channels.len(),
-        listed(&channels)
+        listed(&recording.file_channels(settings)?)
     );
-    Ok(default())
+    Ok(channels)
 }
 
-/// The channels `given`, by the names that the recordings at or below `paths` give them.
-///
-/// # Errors
-///
-/// The recordings cannot be listed.
-pub fn named_by_recordings(
+/// The channels of 3DC that are taken where nobody says which.
+pub fn of_three_dc() -> Vec<Channel> {
+    DEFAULT.map(Channel::Index).to_vec()
+}
+
+/// The channels `given`, by the names that the recordings at or below `paths` give them: a recording in which the columns lie
+/// otherwise is then read rightly.
+fn named_by_recordings(
     given: &[Channel],
     settings: &DatasetSettings,
     paths: &[PathBuf],
@@ -93,27 +93,36 @@ mod tests {
     }
 
     fn channels(folder: &Path, given: &[usize]) -> Result<Vec<Channel>, String> {
+        let given: Vec<Channel> = given.iter().copied().map(Channel::Index).collect();
         let settings = DatasetSettings { recording_rate_hz: Some(1000.0), ..DatasetSettings::default() };
-        channels_or_default(given, &settings, &[folder.to_owned()]).map_err(|error| error.to_string())
+        channels_or_default(&given, &settings, &[folder.to_owned()]).map_err(|error| error.to_string())
     }
 
     #[test]
-    fn a_small_table_is_taken_whole_and_of_a_larger_one_nobody_guesses() {
+    fn of_a_table_the_first_muscles_are_taken() {
         let folder = tempfile::tempdir().unwrap();
-        table(folder.path(), "flexor,extensor,thumb,ulna");
-        assert_eq!(
-            channels(folder.path(), &[]).unwrap(),
-            ["flexor", "extensor", "thumb", "ulna"].map(Channel::from)
-        );
-        assert_eq!(channels(folder.path(), &[2, 0]).unwrap(), [2, 0].map(Channel::from));
-        table(folder.path(), "a,b,c,d,e,f");
+        let four = ["flexor", "extensor", "thumb", "ulna"].map(Channel::from);
+        for header in [
+            "flexor,extensor,thumb,ulna",
+            "Time,flexor,extensor,ACC X,thumb,ulna,brachioradialis,gesture",
+            "flexor,extensor,thumb,ulna,a,b,c,d,e,f",
+        ] {
+            table(folder.path(), header);
+            assert_eq!(channels(folder.path(), &[]).unwrap(), four, "{header}");
+            let names: Vec<&str> = header.split(',').collect();
+            assert_eq!(
+                channels(folder.path(), &[2, 0]).unwrap(),
+                [names[2], names[0]].map(Channel::from),
+                "{header}"
+            );
+        }
+        table(folder.path(), "flexor,time");
+        assert_eq!(channels(folder.path(), &[]).unwrap(), [Channel::from("flexor")]);
+        table(folder.path(), "time,label,battery");
         let refused = channels(folder.path(), &[]).unwrap_err();
         assert!(
-            refused.contains("has 6 channels (a, b, c, d, e, f)") && refused.contains("--channels 0,1,2,3"),
+            refused.contains("(time, label, battery)") && refused.contains("--channels 0,1,2,3"),
             "{refused}"
         );
-        assert_eq!(channels(folder.path(), &[5]).unwrap(), [Channel::Index(5)]);
-        table(folder.path(), "a,b,c,d,e,f,g,h,i");
-        assert_eq!(channels(folder.path(), &[]).unwrap(), [0, 3, 5, 8].map(Channel::from));
     }
 }

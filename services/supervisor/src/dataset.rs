@@ -15,7 +15,7 @@ use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
 use crate::channels::channels_or_default;
-use crate::options::{Base, WINDOW_KEYS, channel};
+use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
 use crate::output::{counted, print, summed_up, tell};
 use crate::progress::Progress;
 use crate::provenance::PROGRAM;
@@ -62,13 +62,8 @@ pub struct BuildOptions {
     /// Replace a finished data set that stands there.
     #[arg(long)]
     force: bool,
-    /// Channels of the recordings, in the order the windows shall have [default: all of what Tendon recorded and of tables
-    /// with at most four, otherwise 0,3,5,8].
-    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
-    channels: Vec<usize>,
-    /// Sampling rate of recordings that do not state it, Hz; required with labels.csv.
-    #[arg(long, value_name = "HZ")]
-    recording_rate_hz: Option<f64>,
+    #[command(flatten)]
+    recording: RecordingOptions,
     #[command(flatten)]
     base: Base,
     /// Sampling rate of the windows, Hz; by default acquisition.sample_rate_hz of the configuration.
@@ -104,6 +99,10 @@ pub struct BuildOptions {
     /// people, and its score says how well it does in another session of the same people.
     #[arg(long, value_name = "SESSION,…", value_delimiter = ',')]
     test_sessions: Vec<String>,
+    /// Repetitions of each person to hold out for the test, counted from 0 through all of the person's sessions: all their
+    /// windows are for the test. The model then knows the people.
+    #[arg(long, value_name = "N,…", value_delimiter = ',')]
+    test_repetitions: Vec<u8>,
     /// Seed for choosing the validation windows: 20 % of each gesture's windows that are not for the test.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -128,7 +127,7 @@ impl BuildOptions {
             self.base.configuration_of("tendon dataset build", &WINDOW_KEYS)?;
         let default = DatasetSettings::default();
         let settings = DatasetSettings {
-            recording_rate_hz: self.recording_rate_hz,
+            recording_rate_hz: self.recording.recording_rate_hz,
             sample_rate_hz: self.sample_rate_hz.unwrap_or(acquisition.sample_rate_hz),
             filter: (!self.filtered).then_some(dsp.filter),
             input: self.input,
@@ -145,7 +144,7 @@ impl BuildOptions {
             rest_start_ms: default.rest_start_ms,
             channels: default.channels,
         };
-        let channels = channels_or_default(&self.channels, &settings, &self.recordings)?;
+        let channels = channels_or_default(&self.recording.channels, &settings, &self.recordings)?;
         Ok(DatasetSettings { channels, ..settings })
     }
 }
@@ -185,7 +184,12 @@ impl BuildProgress {
 
 /// What the data set is made from. Its settings stand in the manifest itself.
 fn provenance(options: &BuildOptions) -> anyhow::Result<Provenance> {
-    let configuration = serde_json::json!({ "test_people": options.test_people, "test_sessions": options.test_sessions, "seed": options.seed });
+    let configuration = serde_json::json!({
+        "test_people": options.test_people,
+        "test_sessions": options.test_sessions,
+        "test_repetitions": options.test_repetitions,
+        "seed": options.seed,
+    });
     let begun = Provenance::begin(PROGRAM).with_configuration(&configuration)?;
     Ok(begun.with_recording(&options.recordings)?)
 }
@@ -196,16 +200,18 @@ pub fn build(options: &BuildOptions) -> Result<(), Failure> {
     let default = BuildSettings::default();
     let settings = options.settings().map_err(Failure::input)?;
     // Before everything is read for its hash: what cannot be used is refused at once.
-    tendon_dataset::list(&settings, &options.recordings).map_err(Failure::input)?;
+    let found = tendon_dataset::list(&settings, &options.recordings).map_err(Failure::input)?;
+    let unit = options.recording.unit_of(&found.unit).map_err(Failure::input)?;
     OutputFolder::check(&options.out).map_err(Failure::input)?;
     check_place(&options.out, options.force).map_err(Failure::input)?;
     let building = BuildSettings {
         test_people: options.test_people.clone(),
         test_sessions: options.test_sessions.clone(),
+        test_repetitions: options.test_repetitions.clone(),
         seed: options.seed,
         threads: options.threads.map_or(default.threads, usize::from),
         replaces: options.force,
-        unit: default.unit,
+        unit,
         provenance: provenance(options).map_err(Failure::input)?,
     };
     let mut progress = BuildProgress::default();
@@ -245,12 +251,13 @@ fn text(options: &BuildOptions, manifest: &Manifest, duration: Option<Duration>)
     if let Some(total) = manifest.onsets.get("total") {
         text += &format!("{:<12}{:>9}{}\n", "total", manifest.windows, columns(total));
     }
-    let SplitEntry { test_people, test_sessions, held_out, seed, windows: split, .. } = &manifest.split;
+    let SplitEntry { test_people, test_sessions, test_repetitions, held_out, seed, windows: split, .. } =
+        &manifest.split;
     text +=
         &format!("\n{} windows to train on, {} for validation (seed {seed})", split.train, split.validation);
-    text += &match (test_people.as_slice(), test_sessions.as_slice()) {
-        ([], []) => "; nobody is held out: --test-people chooses whom to test on".to_owned(),
-        (people, []) => format!(", {} for the test: all of {}", split.test, list_of(people)),
+    text += &match (test_people.as_slice(), test_sessions.len() + test_repetitions.len()) {
+        ([], 0) => "; nobody is held out: --test-people chooses whom to test on".to_owned(),
+        (people, 0) => format!(", {} for the test: all of {}", split.test, list_of(people)),
         _ => format!(", {} for the test: {held_out}", split.test),
     };
     if let Some(duration) = duration {

@@ -16,11 +16,13 @@ use tendon_identity::PersonId;
 use tendon_output::{OutputFile, OutputFolder, check_distinct, collect};
 use tendon_provenance::Provenance;
 use tendon_recordings::Channel;
+use tendon_signal::canonical_unit;
 
 use crate::Failure;
-use crate::channels::channels_or_default;
-use crate::options::{Base, channel, seconds};
-use crate::output::{checked, left_out, print};
+use crate::channels::{channels_or_default, listed};
+use crate::model_channels;
+use crate::options::{Base, RecordingOptions, seconds};
+use crate::output::{checked, left_out, print, tell};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
 
@@ -58,17 +60,12 @@ pub struct Options {
     calibrate_unlabelled: Option<f64>,
     #[command(flatten)]
     base: Base,
-    /// With --calibrate-repetitions or --calibrate-unlabelled: sampling rate of recordings that do not state it, Hz.
-    #[arg(long, value_name = "HZ", requires = "calibration")]
-    recording_rate_hz: Option<f64>,
+    #[command(flatten)]
+    recording: RecordingOptions,
     /// Score only these people, by number or name. By default, everybody whom the model was not trained on: a score on people
     /// it has seen says nothing about a stranger.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<PersonId>,
-    /// Channels of the recordings, in the order the model expects [default: all of what Tendon recorded and of tables with
-    /// at most four, otherwise 0,3,5,8]. A data set has its own.
-    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
-    channels: Vec<usize>,
     /// ONNX Runtime's shared library. By default ORT_DYLIB_PATH, then what scripts/fetch-onnxruntime fetched.
     #[arg(long, value_name = "FILE")]
     runtime_library: Option<PathBuf>,
@@ -109,19 +106,28 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let classifier = Classifier::load(&library, model).map_err(Failure::input)?;
     let trained = classifier.contract().provenance.clone();
     let trained_on = classifier.contract().trained_on.clone();
+    if let Some(unit) = &options.recording.unit {
+        tell_of_unit(unit, &classifier.contract().unit);
+    }
     let mut works = Works::default();
+    let check = |channels: &[Channel], source| {
+        let names: Vec<String> = channels.iter().map(Channel::name).collect();
+        model_channels::check([model], source, &names)
+    };
     let channels;
     let scored = match &options.paths[..] {
         [folder] if StoredDataset::is_one(folder) => {
-            channels = check_channels(options, folder).map_err(Failure::input)?;
+            channels = check_data_set(options, folder).map_err(Failure::input)?;
+            check(&channels, "the data set gives").map_err(Failure::input)?;
             let mut progress = |done, total| works.show(done, total, "windows", String::new);
             score_dataset(classifier, folder, &options.people, &mut progress)
         }
         paths => {
-            channels = channels_or_default(&options.channels, &DatasetSettings::default(), paths)
-                .map_err(Failure::input)?;
+            channels = channels_of(options, model, paths).map_err(Failure::input)?;
+            check(&channels, "the recordings give").map_err(Failure::input)?;
             let mut progress = |done, total| works.show(done, total, "recordings", String::new);
-            score_recordings(classifier, paths, &channels, &options.people, &mut progress)
+            let rate_hz = options.recording.recording_rate_hz;
+            score_recordings(classifier, paths, &channels, rate_hz, &options.people, &mut progress)
         }
     };
     works.clear();
@@ -136,7 +142,7 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
     let json = json.iter().map(|file| file.write_json(&content));
     let drawn = figures.iter().flat_map(|folder| write_score_figures(folder, model, &tally));
     let written = collect(json.chain(drawn)).map_err(Failure::running);
-    written.and(print(text(options, model, &scores, trained.as_deref())).map_err(Failure::running))
+    written.and(print(text(options, model, &channels, &scores, trained.as_deref())).map_err(Failure::running))
 }
 
 /// The model, which has the settings of its own windows.
@@ -149,17 +155,40 @@ fn model(options: &Options) -> anyhow::Result<&Path> {
     options.model.as_deref().context("give a model with --model")
 }
 
-/// The channels of the data set. Refuses others: its windows cannot be given them.
-fn check_channels(options: &Options, folder: &Path) -> anyhow::Result<Vec<Channel>> {
-    let named: Vec<Channel> = options.channels.iter().copied().map(Channel::Index).collect();
+/// The channels of the data set. Refuses options that would make others of its windows.
+fn check_data_set(options: &Options, folder: &Path) -> anyhow::Result<Vec<Channel>> {
+    let RecordingOptions { channels: named, recording_rate_hz, unit } = &options.recording;
     let dataset = StoredDataset::open(folder)?;
     let own = dataset.manifest().settings.channels.clone();
     ensure!(
-        named.is_empty() || named == own,
+        named.is_empty() || *named == own,
         "--channels is for recordings, but {} is a data set of other channels: leave --channels out",
         folder.display()
     );
+    for (option, is_given) in
+        [("--recording-rate-hz", recording_rate_hz.is_some()), ("--unit", unit.is_some())]
+    {
+        let folder = folder.display();
+        ensure!(!is_given, "{option} is for recordings, but {folder} is a data set: leave {option} out");
+    }
     Ok(own)
+}
+
+/// The channels of the recordings that the model is given: those it was trained on, unless others are asked for.
+fn channels_of(options: &Options, model: &Path, paths: &[PathBuf]) -> anyhow::Result<Vec<Channel>> {
+    let RecordingOptions { channels, recording_rate_hz, .. } = &options.recording;
+    let given = if channels.is_empty() { model_channels::remembered([model]) } else { channels.clone() };
+    let settings = DatasetSettings { recording_rate_hz: *recording_rate_hz, ..DatasetSettings::default() };
+    channels_or_default(&given, &settings, paths)
+}
+
+/// Says that a model was trained on samples of another unit.
+fn tell_of_unit(unit: &str, trained: &str) {
+    if !trained.is_empty() && canonical_unit(trained) != unit {
+        tell(format_args!(
+            "the recordings are in {unit}, and the model was trained in {trained}: it will not fit"
+        ));
+    }
 }
 
 /// What was scored on what. The hashes of recordings are left out where nobody gets to read them.
@@ -187,9 +216,16 @@ fn failure(error: ScoreError) -> Failure {
     if error.is_bad_input() { Failure::input(error) } else { Failure::running(error) }
 }
 
-fn text(options: &Options, model: &Path, scores: &Scores, trained: Option<&str>) -> String {
+fn text(
+    options: &Options,
+    model: &Path,
+    channels: &[Channel],
+    scores: &Scores,
+    trained: Option<&str>,
+) -> String {
     let people: Vec<String> = scores.people.iter().map(ToString::to_string).collect();
     let mut text = format!("{} on people {}\n", model.display(), people.join(", "));
+    text += &format!("channels {}\n", listed(channels));
     text += &format!("scored on {}\n", scores.scored_on);
     if let Some(trained) = trained {
         text += &format!("the model: {trained}\n");

@@ -18,6 +18,7 @@ mod evaluate;
 mod experiments;
 mod export;
 mod latency;
+mod model_channels;
 mod note;
 mod options;
 mod order;

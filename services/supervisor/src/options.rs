@@ -12,7 +12,7 @@ use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use tempfile::TempDir;
 use tendon_classifier::{Adaptation, ClassifierError};
-use tendon_config::{Config, Gestures, Pace, Realtime, Source};
+use tendon_config::{AcquisitionSettings, Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
 use tendon_people::Person;
 use tendon_recordings::Channel;
@@ -21,6 +21,7 @@ use tendon_signal::{canonical_unit, known_units};
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
+use crate::model_channels;
 use crate::personal::{check_person, set_person};
 use crate::recorded::configuration_of;
 
@@ -96,6 +97,48 @@ impl Base {
     }
 }
 
+/// How recordings are read: the same options for every command that reads some.
+#[derive(Clone, Debug, Default, Args)]
+pub struct RecordingOptions {
+    /// Channels of the recordings in this order, by number from 0 or by the name that the recordings give them [default: those
+    /// that the model or person names; else all of what Tendon recorded and of tables with at most four, otherwise 0,3,5,8].
+    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = named_channel)]
+    pub channels: Vec<Channel>,
+    /// Sampling rate of recordings that do not state it, Hz.
+    #[arg(long, value_name = "HZ", alias = "replay-rate-hz")]
+    pub recording_rate_hz: Option<f64>,
+    /// Unit of recordings that do not state it: V, mV, uV, nV or adc_counts.
+    #[arg(long, value_name = "UNIT", value_parser = unit)]
+    pub unit: Option<String>,
+}
+
+impl RecordingOptions {
+    /// The first of these options that was given.
+    pub fn given(&self) -> Option<&'static str> {
+        let given = [
+            ("--channels", !self.channels.is_empty()),
+            ("--recording-rate-hz", self.recording_rate_hz.is_some()),
+            ("--unit", self.unit.is_some()),
+        ];
+        given.into_iter().find_map(|(option, is_given)| is_given.then_some(option))
+    }
+
+    /// The unit of recordings that state `own`, in its canonical spelling; empty if nobody knows.
+    ///
+    /// # Errors
+    ///
+    /// The option says another one.
+    pub fn unit_of(&self, own: &str) -> anyhow::Result<String> {
+        let own = canonical_unit(own);
+        let Some(unit) = &self.unit else { return Ok(own.to_owned()) };
+        ensure!(
+            own.is_empty() || own == unit,
+            "--unit {unit}: the recordings say that they are in {own}: leave --unit out"
+        );
+        Ok(unit.clone())
+    }
+}
+
 /// What can be said on the command line of `tendon run`; the rest is in the configuration.
 #[derive(Debug, Args)]
 pub struct Options {
@@ -123,9 +166,8 @@ pub struct Options {
     /// --config and --set do not say otherwise.
     #[arg(long, value_name = "PATH")]
     replay: Option<PathBuf>,
-    /// Sampling rate of the recording, for a CSV file.
-    #[arg(long, value_name = "HZ", requires = "replay")]
-    replay_rate_hz: Option<f64>,
+    #[command(flatten)]
+    recording: RecordingOptions,
     /// Replay only this repetition of a 3DC folder.
     #[arg(long, value_name = "N", requires = "replay")]
     repetition: Option<u32>,
@@ -214,10 +256,12 @@ impl Options {
                 "--task is for the arm's own time: leave --pace full away"
             );
         }
+        model_channels::choose(&mut config);
         let mut config = finish(config)?;
         if let Some((file, person)) = &person {
             check_person(file, person, &config)?;
         }
+        model_channels::check_recording(&config)?;
         let inference = &mut config.inference;
         if let (Strategy::Personal, Some(file)) = (config.decision.strategy, &inference.person) {
             let person = person.map_or_else(|| Person::read(file), |(_, person)| Ok(person))?;
@@ -232,8 +276,9 @@ impl Options {
             return Ok((self.base.read()?, None));
         };
         ensure!(
-            self.replay_rate_hz.is_none() && self.repetition.is_none(),
-            "--replay-rate-hz and --repetition are for other recordings, {} is a recorded session: leave them out",
+            self.recording.given().is_none() && self.repetition.is_none(),
+            "{} is for other recordings, {} is a recorded session: leave it out",
+            self.recording.given().unwrap_or("--repetition"),
             recorded.display()
         );
         if self.base.config.is_some() {
@@ -250,8 +295,26 @@ impl Options {
             acquisition.source = Source::Replay;
             acquisition.replay.path = Some(path.clone());
         }
-        if self.replay_rate_hz.is_some() {
-            acquisition.replay.sample_rate_hz = self.replay_rate_hz;
+        if let Some(option) = self.recording.given() {
+            ensure!(
+                acquisition.source == Source::Replay,
+                "{option} is for recordings: name one with --replay PATH, or leave {option} out"
+            );
+        }
+        let RecordingOptions { channels, recording_rate_hz, unit } = &self.recording;
+        if !channels.is_empty() {
+            acquisition.replay.channels = Some(channels.clone());
+            if acquisition.channels == AcquisitionSettings::default().channels
+                && !self.base.sets("acquisition.channels")
+            {
+                acquisition.channels = channels.len();
+            }
+        }
+        if recording_rate_hz.is_some() {
+            acquisition.replay.sample_rate_hz = *recording_rate_hz;
+        }
+        if unit.is_some() {
+            acquisition.unit = unit.clone();
         }
         if self.repetition.is_some() {
             acquisition.replay.repetition = self.repetition;
@@ -397,15 +460,6 @@ pub fn named_channel(text: &str) -> anyhow::Result<Channel> {
     Ok(text.parse().map_or_else(|_| Channel::from(text), Channel::Index))
 }
 
-/// Number of a channel.
-///
-/// # Errors
-///
-/// When it is none.
-pub fn channel(text: &str) -> anyhow::Result<usize> {
-    text.trim().parse().map_err(|_| anyhow!("channels are numbers here, from 0"))
-}
-
 /// A number of seconds above 0.
 ///
 /// # Errors
@@ -432,9 +486,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_channel_is_a_number_and_the_refusal_says_so() {
-        assert_eq!(channel("0").unwrap(), 0);
-        assert_eq!(format!("{:#}", channel("flexor").unwrap_err()), "channels are numbers here, from 0");
+    fn a_unit_is_that_of_the_recordings_or_of_the_option() {
+        let given = RecordingOptions { unit: Some("mV".to_owned()), ..RecordingOptions::default() };
+        assert_eq!(RecordingOptions::default().unit_of("microvolts").unwrap(), "uV");
+        assert_eq!((given.unit_of("").unwrap(), given.unit_of("mV").unwrap()), ("mV".into(), "mV".into()));
+        assert!(given.unit_of("uV").unwrap_err().to_string().contains("leave --unit out"));
+        assert_eq!((given.given(), RecordingOptions::default().given()), (Some("--unit"), None));
     }
 
     #[test]

@@ -13,6 +13,7 @@ use tendon_process::SignalDescription;
 use tendon_recordings::{Channel, RecordedSession};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings, canonical_unit};
 
+use crate::model_channels;
 use crate::options::Base;
 
 /// Keys of the windows.
@@ -216,7 +217,8 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
         Source::Simulate => String::new(),
         Source::Replay => {
             let recorded = acquisition.replay.path.as_deref().map_or(Ok(None), RecordedSession::beside)?;
-            recorded.map_or_else(String::new, |session| session.unit)
+            let own = recorded.map_or_else(String::new, |session| session.unit);
+            if own.is_empty() { acquisition.unit.clone().unwrap_or_default() } else { own }
         }
         _ => acquisition.unit.clone().unwrap_or_default(),
     };
@@ -285,14 +287,21 @@ pub fn ask_for(acquisition: &mut AcquisitionSettings, channels: &[String], unit:
 }
 
 /// Refuses a source that is ready with other channels, or another unit, than the person of this configuration was calibrated
-/// with. Only the source itself knows what it measures.
+/// with, or with other channels than its models were trained on. Only the source itself knows what it measures.
 ///
 /// # Errors
 ///
 /// What differs, by name.
 pub fn check_signal(config: &Config, signal: &SignalDescription) -> anyhow::Result<()> {
     let is_personal = config.decision.strategy == Strategy::Personal;
-    let Some(file) = config.inference.person.as_ref().filter(|_| is_personal) else { return Ok(()) };
+    let Some(file) = config.inference.person.as_ref().filter(|_| is_personal) else {
+        let models = model_channels::of_session(config);
+        return model_channels::check(
+            models.iter().map(PathBuf::as_path),
+            "the source gives",
+            &signal.channels,
+        );
+    };
     let person = Person::read(file)?;
     let own = &person.signal;
     ensure!(

@@ -12,7 +12,7 @@ use tendon_recordings::SkippedKind;
 
 use crate::Failure;
 use crate::channels::channels_or_default;
-use crate::options::{Base, WINDOW_KEYS, channel};
+use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
 use crate::output::{checked_private, print};
 use crate::personal::{WINDOWS, dataset_settings, personal_windows};
 use crate::progress::Works;
@@ -23,13 +23,8 @@ pub struct Options {
     /// Recordings with cues, of several people.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,
-    /// Channels of the recordings [default: all of what Tendon recorded and of tables with at most four, otherwise 0,3,5,8].
-    /// The prior serves people with as many channels at the same places.
-    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
-    channels: Vec<usize>,
-    /// Sampling rate of recordings that do not state it, Hz.
-    #[arg(long, value_name = "HZ")]
-    recording_rate_hz: Option<f64>,
+    #[command(flatten)]
+    recording: RecordingOptions,
     #[command(flatten)]
     base: Base,
     /// The file to write.
@@ -44,8 +39,8 @@ pub fn gather(options: &Options) -> Result<(), Failure> {
     check_distinct(&out, [], inputs).map_err(Failure::input)?;
     let config = options.base.configuration_of("tendon prior", &WINDOW_KEYS).map_err(Failure::input)?;
     let config = personal_windows(config, options.base.sets(WINDOWS));
-    let settings = dataset_settings(&config, &[], options.recording_rate_hz);
-    let channels = channels_or_default(&options.channels, &settings, &options.recordings);
+    let settings = dataset_settings(&config, &[], options.recording.recording_rate_hz);
+    let channels = channels_or_default(&options.recording.channels, &settings, &options.recordings);
     let settings = DatasetSettings { channels: channels.map_err(Failure::input)?, ..settings };
     let mut works = Works::default();
     let mut progress = |done, total| works.show(done, total, "people", String::new);

@@ -7,10 +7,11 @@ use clap::{Args, Subcommand};
 use tendon_emg_simulation::{FitSettings, Profile, Segment, fit as fit_profile};
 use tendon_gesture::Gesture;
 use tendon_output::{check_distinct, collect};
-use tendon_recordings::{Channel, RecordingSettings, RecordingSource, three_dc};
+use tendon_recordings::{RecordingSettings, RecordingSource, three_dc};
 
 use crate::Failure;
-use crate::options::channel;
+use crate::channels::of_three_dc;
+use crate::options::RecordingOptions;
 use crate::output::{checked, print, tell};
 
 /// Commands of `tendon profile`.
@@ -29,9 +30,8 @@ pub struct FitOptions {
     /// Where to write the profile.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Channels of the recordings to simulate, in this order.
-    #[arg(long, value_delimiter = ',', value_parser = channel, default_value = "0,3,5,8")]
-    channels: Vec<usize>,
+    #[command(flatten)]
+    recording: RecordingOptions,
     /// Where the recordings come from, as a note in the profile.
     #[arg(long, default_value = "fitted from recordings")]
     source: String,
@@ -60,9 +60,11 @@ pub fn fit(options: &FitOptions) -> Result<(), Failure> {
 }
 
 fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
+    let channels = &options.recording.channels;
+    let unit = options.recording.unit_of(three_dc::UNIT)?;
     let settings = RecordingSettings {
-        channels: options.channels.iter().copied().map(Channel::Index).collect(),
-        sample_rate_hz: None,
+        channels: if channels.is_empty() { of_three_dc() } else { channels.clone() },
+        sample_rate_hz: options.recording.recording_rate_hz,
         repetition: None,
     };
     let mut segments: Vec<(Gesture, Vec<f32>)> = Vec::new();
@@ -90,8 +92,8 @@ fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
         &segments,
         &FitSettings {
             source: options.source.clone(),
-            unit: "adc_counts".to_owned(),
-            channels: options.channels.len(),
+            unit,
+            channels: settings.channels.len(),
             sample_rate_hz: sample_rate_hz.context("there are no recordings")?,
             mains_hz: options.mains_hz,
         },

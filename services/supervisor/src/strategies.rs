@@ -21,11 +21,12 @@ use tendon_identity::PersonId;
 use tendon_output::{check_distinct, collect};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_provenance::Provenance;
-use tendon_recordings::SkippedKind;
+use tendon_recordings::{Channel, SkippedKind};
 
 use crate::Failure;
 use crate::channels::{channels_or_default, listed};
-use crate::options::{channel, check_keys, sets};
+use crate::model_channels;
+use crate::options::{RecordingOptions, check_keys, sets};
 use crate::output::{checked, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
@@ -49,13 +50,8 @@ pub struct Options {
     /// Score only these people, by number or name. By default, everybody whom none of the models was trained on.
     #[arg(long, value_name = "P,…", value_delimiter = ',')]
     people: Vec<PersonId>,
-    /// Channels of the recordings, in the order the models expect [default: all of what Tendon recorded and of tables with
-    /// at most four, otherwise 0,3,5,8].
-    #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = channel)]
-    channels: Vec<usize>,
-    /// Sampling rate of recordings that do not state it, Hz.
-    #[arg(long, value_name = "HZ")]
-    recording_rate_hz: Option<f64>,
+    #[command(flatten)]
+    recording: RecordingOptions,
     /// Configuration file with the settings of dsp, decision and adaptation. By default, the default settings.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -172,7 +168,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
     let begun = Provenance::begin(PROGRAM);
     let config = configuration(options).map_err(Failure::input)?;
     let mut pipelines = pipelines(options, &config).map_err(Failure::input)?;
-    let settings = settings(options, &config).map_err(Failure::input)?;
+    let settings = settings(options, &config, &pipelines).map_err(Failure::input)?;
     let found = list(&settings, &options.recordings).map_err(Failure::input)?;
     let (layout, data_set) = (found.layout, found.layout.data_set());
     let known: BTreeSet<PersonId> = found.recordings.iter().map(|recording| recording.person).collect();
@@ -208,7 +204,7 @@ pub fn score(options: &Options) -> Result<(), Failure> {
         strategies: BTreeMap::new(),
         provenance,
     };
-    let mut text = format!("scored on {}\n", all.scored_on);
+    let mut text = format!("channels {}\nscored on {}\n", listed(&settings.channels), all.scored_on);
     if let Some(calibrated_on) = &all.calibrated_on {
         text += &format!("personal: calibrated on {calibrated_on}\n");
     }
@@ -301,12 +297,23 @@ fn configuration(options: &Options) -> anyhow::Result<Config> {
 }
 
 /// How the recordings are cut.
-fn settings(options: &Options, config: &Config) -> anyhow::Result<DatasetSettings> {
+fn settings(
+    options: &Options,
+    config: &Config,
+    pipelines: &[(Strategy, Pipeline)],
+) -> anyhow::Result<DatasetSettings> {
     let settings = DatasetSettings {
-        recording_rate_hz: options.recording_rate_hz,
+        recording_rate_hz: options.recording.recording_rate_hz,
         ..dataset_settings(&pipeline_settings(config, Strategy::Direct), &[])
     };
-    let channels = channels_or_default(&options.channels, &settings, &options.recordings)?;
+    let models: Vec<&Path> =
+        pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().models()).collect();
+    let given = &options.recording.channels;
+    let given =
+        if given.is_empty() { model_channels::remembered(models.iter().copied()) } else { given.clone() };
+    let channels = channels_or_default(&given, &settings, &options.recordings)?;
+    let names: Vec<String> = channels.iter().map(Channel::name).collect();
+    model_channels::check(models, "the recordings give", &names)?;
     ensure!(
         channels.len() == config.acquisition.channels,
         "{} channels of the recordings are taken ({}; --channels names others), acquisition.channels = {}: make them the \

@@ -203,6 +203,22 @@ impl Contract {
         })
     }
 
+    /// Names of the channels that the model was trained on, in order, where they mean something in other recordings. Numbers do
+    /// so in recordings of your own only: those of a data set count the electrodes of its own amplifier.
+    pub fn remembered_channels(&self) -> &[String] {
+        if are_numbers(&self.channel_names) && !self.trained_on.is_own() { &[] } else { &self.channel_names }
+    }
+
+    /// What is different if `given`, the names of the channels of `source` (such as `the recording gives`), are others than those
+    /// the model was trained on; `None` if they are the same, or one of the two has no names.
+    pub fn other_channels(&self, source: &str, given: &[String]) -> Option<String> {
+        let known = self.remembered_channels();
+        // A column that has only a number may be any channel of an amplifier that gives names.
+        let is_unknown = known.is_empty() || (are_numbers(known) && !are_numbers(given));
+        (!is_unknown && known != given)
+            .then(|| format!("the model knows {}; {source} {}", known.join(", "), given.join(", ")))
+    }
+
     /// Everything in which `source` differs from what the model was trained for.
     pub fn mismatches(&self, source: &WindowSource<'_>) -> Vec<Mismatch> {
         let mut mismatches = Vec::new();
@@ -243,6 +259,11 @@ impl Contract {
         compare("input", self.input == source.input, said(self.input), said(source.input));
         mismatches
     }
+}
+
+/// Whether channels have only numbers for names.
+fn are_numbers(names: &[String]) -> bool {
+    names.iter().all(|name| name.parse::<usize>().is_ok())
 }
 
 /// Every setting in which `filter` is unlike all that are allowed: its key, what is allowed, what it is. Where each
@@ -357,6 +378,35 @@ mod tests {
             _ => return None,
         };
         Some(value.to_owned())
+    }
+
+    #[test]
+    fn channels_are_remembered_by_name_and_by_number_in_own_recordings_only() {
+        let contract = |names: &'static str, data_set: &'static str| {
+            let read = |key: &str| match key {
+                "tendon.channel_names" => Some(names.to_owned()),
+                "tendon.data_set" => Some(data_set.to_owned()),
+                _ => metadata(key),
+            };
+            Contract::read(read).unwrap()
+        };
+        let given = |names: &str| names.split(',').map(str::to_owned).collect::<Vec<String>>();
+        let (own, named) = ("own recordings", contract(r#"["a","b","c","d"]"#, "3DC"));
+        assert_eq!(named.other_channels("the recording gives", &given("a,b,c,d")), None);
+        assert_eq!(
+            named.other_channels("the recording gives", &given("time,a,b,c")).unwrap(),
+            "the model knows a, b, c, d; the recording gives time, a, b, c"
+        );
+        // In another order, or without names.
+        assert!(named.other_channels("the recording gives", &given("b,a,c,d")).is_some());
+        assert!(named.other_channels("the recording gives", &given("0,1,2,3")).is_some());
+        let numbered = contract(r#"["1","2","3","4"]"#, own);
+        assert!(numbered.other_channels("the recording gives", &given("0,1,2,3")).is_some());
+        assert_eq!(numbered.other_channels("the recording gives", &given("1,2,3,4")), None);
+        assert_eq!(numbered.other_channels("the amplifier gives", &given("a,b,c,d")), None);
+        let of_data_set = contract(r#"["0","3","5","8"]"#, "3DC");
+        assert!(of_data_set.remembered_channels().is_empty());
+        assert_eq!(of_data_set.other_channels("the recording gives", &given("0,1,2,3")), None);
     }
 
     #[test]
@@ -479,12 +529,12 @@ mod tests {
         .unwrap();
         assert_eq!(contract.sequence_windows, 5);
         assert_eq!(contract.classes, Class::REST_MOVE);
-        let TrainedOn { data_set, people, held_out_sessions } = contract.trained_on;
+        let TrainedOn { data_set, people, held_out_sessions, held_out_repetitions } = contract.trained_on;
         assert_eq!(
             (data_set.as_deref(), people.as_slice()),
             (Some("3DC"), &[1, 3, 14].map(tendon_identity::PersonId::Number)[..])
         );
-        assert_eq!(held_out_sessions, Vec::<String>::new());
+        assert_eq!((held_out_sessions.len(), held_out_repetitions.len()), (0, 0));
         assert_eq!(contract.validation_accuracy, Some(0.9123));
     }
 

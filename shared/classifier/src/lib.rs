@@ -26,7 +26,7 @@ use tendon_people::{PersonFileError, RecogniseError};
 
 pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
-pub use metadata::trained_on;
+pub use metadata::{contract_of, trained_on};
 pub use recogniser::{
     DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, RecogniserFiles, default_model_file,
 };

@@ -6,7 +6,7 @@
 use std::io;
 use std::path::Path;
 
-use crate::TrainedOn;
+use crate::{Contract, TrainedOn};
 
 /// Field of the metadata in a `ModelProto`.
 const METADATA: u64 = 14;
@@ -20,6 +20,16 @@ pub fn trained_on(model: &Path) -> io::Result<TrainedOn> {
     let content = tendon_input::read(model, tendon_input::LARGEST_MODEL)?;
     // Numbers that are none make the model unusable: whoever loads it says so.
     Ok(TrainedOn::read(|key| metadata(&content, key)).unwrap_or_default())
+}
+
+/// What the model in this file was trained for; `None` if that does not make sense, which whoever loads it says.
+///
+/// # Errors
+///
+/// When the file cannot be read.
+pub fn contract_of(model: &Path) -> io::Result<Option<Contract>> {
+    let content = tendon_input::read(model, tendon_input::LARGEST_MODEL)?;
+    Ok(Contract::read(|key| metadata(&content, key)).ok())
 }
 
 /// The metadata's value for `key`.
@@ -93,6 +103,8 @@ mod tests {
             let TrainedOn { data_set, people, .. } = trained_on(&models.join(model)).unwrap();
             assert_eq!(data_set.as_deref(), Some("3DC"), "{model}");
             assert_eq!(people, [1, 3, 4, 5, 6, 7, 9, 11, 12, 13, 14, 15], "{model}");
+            let contract = contract_of(&models.join(model)).unwrap().unwrap();
+            assert_eq!((contract.channels, contract.remembered_channels().len()), (4, 0), "{model}");
         }
     }
 

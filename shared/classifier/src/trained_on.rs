@@ -13,6 +13,8 @@ pub struct TrainedOn {
     pub people: Vec<PersonId>,
     /// Sessions of these people that were held out, so that the model has not seen them.
     pub held_out_sessions: Vec<String>,
+    /// Repetitions of these people, counted through all sessions, that were held out likewise.
+    pub held_out_repetitions: Vec<u8>,
 }
 
 /// What a model says instead of the name of a data set if it was trained on recordings of your own. Their people have
@@ -25,7 +27,11 @@ impl TrainedOn {
         let people = lookup("tendon.people_trained").unwrap_or_default();
         let key = "tendon.held_out_sessions";
         let sessions = lookup(key).unwrap_or_else(|| "[]".to_owned());
+        let repetitions_key = "tendon.held_out_repetitions";
+        let repetitions = lookup(repetitions_key).unwrap_or_else(|| "[]".to_owned());
         Ok(TrainedOn {
+            held_out_repetitions: serde_json::from_str(&repetitions)
+                .map_err(|_| senseless(repetitions_key, &repetitions))?,
             held_out_sessions: serde_json::from_str(&sessions).map_err(|_| senseless(key, &sessions))?,
             data_set: lookup("tendon.data_set").filter(|name| !name.is_empty()),
             people: people
@@ -34,6 +40,11 @@ impl TrainedOn {
                 .collect::<Result<Vec<PersonId>, _>>()
                 .map_err(|_| senseless("tendon.people_trained", &people))?,
         })
+    }
+
+    /// Whether it was recordings of your own.
+    pub fn is_own(&self) -> bool {
+        self.data_set.as_deref() == Some(OWN_RECORDINGS)
     }
 
     /// Those of them who may be people of `data_set`; `None` is recordings of your own. Nobody if the model names another
@@ -45,10 +56,31 @@ impl TrainedOn {
         }
     }
 
-    /// Whether the model was, or may have been, trained on this session of this person of `data_set`.
-    pub fn knows(&self, data_set: Option<&str>, person: PersonId, session: &str) -> bool {
+    /// Whether the model was, or may have been, trained on this repetition, counted through all sessions, in this session of
+    /// this person of `data_set`; without a repetition, on all of the session.
+    pub fn knows(
+        &self,
+        data_set: Option<&str>,
+        person: PersonId,
+        session: &str,
+        repetition: Option<u8>,
+    ) -> bool {
+        let is_held_out = match repetition {
+            Some(repetition) => self.held_out_repetitions.contains(&repetition),
+            None => !self.held_out_repetitions.is_empty(),
+        };
         self.people_of(data_set).contains(&person)
+            && !is_held_out
             && !self.held_out_sessions.iter().any(|held_out| held_out == session)
+    }
+
+    /// What was held out of these people, in words.
+    pub fn held_out(&self) -> String {
+        let sessions = (!self.held_out_sessions.is_empty())
+            .then(|| format!("session {}", self.held_out_sessions.join(", ")));
+        let numbers: Vec<String> = self.held_out_repetitions.iter().map(u8::to_string).collect();
+        let repetitions = (!numbers.is_empty()).then(|| format!("repetition {}", numbers.join(", ")));
+        sessions.into_iter().chain(repetitions).collect::<Vec<String>>().join(" and ")
     }
 
     /// Whether this person of `data_set` is one of them; `None` where the model does not say enough to tell.
@@ -86,6 +118,7 @@ mod tests {
             data_set: data_set.map(str::to_owned),
             people: people.iter().copied().map(PersonId::from).collect(),
             held_out_sessions: Vec::new(),
+            held_out_repetitions: Vec::new(),
         }
     }
 
@@ -95,8 +128,12 @@ mod tests {
         assert!(of_own.people_of(Some("3DC")).is_empty(), "the user's 3 is not 3DC's");
         assert_eq!(of_own.people_of(None), [3]);
         let with_session = TrainedOn { held_out_sessions: vec!["tuesday".to_owned()], ..of_own.clone() };
-        let knows = |person, session| with_session.knows(None, PersonId::Number(person), session);
+        let knows = |person, session| with_session.knows(None, PersonId::Number(person), session, Some(0));
         assert_eq!((knows(3, "monday"), knows(3, "tuesday"), knows(4, "monday")), (true, false, false));
+        let with_repetition = TrainedOn { held_out_repetitions: vec![2], ..of_own.clone() };
+        let knows = |repetition| with_repetition.knows(None, PersonId::Number(3), "monday", repetition);
+        assert_eq!((knows(Some(1)), knows(Some(2)), knows(None)), (true, false, false));
+        assert_eq!(with_repetition.held_out(), "repetition 2");
         let anna: PersonId = "anna".parse().unwrap();
         let of_anna = TrainedOn::read(|key| match key {
             "tendon.people_trained" => Some("anna ben".to_owned()),

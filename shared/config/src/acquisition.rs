@@ -8,7 +8,10 @@ use tendon_delsys::DelsysSettings;
 use tendon_emg_simulation::{ContractionSettings, DEFAULT_SCRIPT, Profile, SimulatedEmg, SimulationSettings};
 use tendon_lsl::LslSettings;
 use tendon_otb::OtbSettings;
-use tendon_recordings::{Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary};
+use tendon_recordings::three_dc::is_three_dc;
+use tendon_recordings::{
+    Channel, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary, first_muscles,
+};
 use tendon_stream::StreamSettings;
 
 use crate::ConfigError;
@@ -220,7 +223,7 @@ pub struct ReplaySettings {
     /// A folder of the 3DC layout, one of its files, or a plain table (CSV).
     pub path: Option<PathBuf>,
     /// Which channels of the recording, by number from 0 or by column name. When left out: of a 3DC recording,
-    /// the four that the models were trained on; of a table, its first columns.
+    /// the four that the models were trained on; of a table, its first columns that are muscles.
     pub channels: Option<Vec<Channel>>,
     /// Sampling rate of a plain table, Hz.
     pub sample_rate_hz: Option<f64>,
@@ -302,7 +305,8 @@ impl AcquisitionSettings {
     pub fn check_recording(&self) -> Result<(), ConfigError> {
         let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
         let recording = self.replay.recording(self.channels);
-        RecordingSource::open(path, &recording).map(drop).map_err(|error| self.recording_error(error))
+        let opened = recording.and_then(|recording| RecordingSource::open(path, &recording));
+        opened.map(drop).map_err(|error| self.recording_error(error))
     }
 
     /// Opens the recording to replay, once it has been read through, so that a bad one is refused before anything moves.
@@ -311,8 +315,8 @@ impl AcquisitionSettings {
     ///
     /// [`ConfigError::SampleRateMissing`], [`ConfigError::MissingChannel`] and [`ConfigError::Recording`].
     pub fn open_recording(&self) -> Result<(Summary, ReplayStream), ConfigError> {
-        let recording = self.replay.recording(self.channels);
         let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
+        let recording = self.replay.recording(self.channels).map_err(|error| self.recording_error(error))?;
         let checked = tendon_recordings::check(path, &recording);
         let summary = checked.map_err(|error| self.recording_error(error))?;
         let stream = ReplayStream::open(path, &recording, self.sample_rate_hz, self.block_samples)?;
@@ -333,17 +337,21 @@ impl AcquisitionSettings {
 
 impl ReplaySettings {
     /// How the recording is read for a session of so many channels.
-    pub fn recording(&self, channels: usize) -> RecordingSettings {
-        let is_three_dc = self.path.as_deref().is_some_and(tendon_recordings::three_dc::is_three_dc);
-        let default = || match channels {
-            4 if is_three_dc => MODEL_CHANNELS_OF_THREE_DC.map(Channel::Index).to_vec(),
-            _ => (0..channels).map(Channel::Index).collect(),
+    ///
+    /// # Errors
+    ///
+    /// When the channels are not named and the recording cannot be opened, or has too few that are muscles.
+    pub fn recording(&self, channels: usize) -> Result<RecordingSettings, RecordingError> {
+        let path = self.path.as_deref().unwrap_or(Path::new(""));
+        let channels = match &self.channels {
+            Some(channels) => channels.clone(),
+            None if !is_three_dc(path) => first_muscles(path, channels)?,
+            None if channels == MODEL_CHANNELS_OF_THREE_DC.len() => {
+                MODEL_CHANNELS_OF_THREE_DC.map(Channel::Index).to_vec()
+            }
+            None => (0..channels).map(Channel::Index).collect(),
         };
-        RecordingSettings {
-            channels: self.channels.clone().unwrap_or_else(default),
-            sample_rate_hz: self.sample_rate_hz,
-            repetition: self.repetition,
-        }
+        Ok(RecordingSettings { channels, sample_rate_hz: self.sample_rate_hz, repetition: self.repetition })
     }
 }
 
@@ -355,14 +363,14 @@ mod tests {
     fn a_table_without_a_rate_is_refused_in_the_words_of_a_session() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("emg.csv");
-        std::fs::write(&path, "time,flexor,extensor,thumb\n0,1,2,3\n1,2,3,4\n").unwrap();
+        std::fs::write(&path, "time,flexor,extensor,thumb,ulna\n0,1,2,3,4\n1,2,3,4,5\n").unwrap();
         let mut acquisition = AcquisitionSettings::default();
         acquisition.replay.path = Some(path);
         let error = acquisition.open_recording().unwrap_err().to_string();
-        assert!(error.contains("--replay-rate-hz 1000, or acquisition.replay.sample_rate_hz"), "{error}");
+        assert!(error.contains("--recording-rate-hz 1000, or acquisition.replay.sample_rate_hz"), "{error}");
         acquisition.replay.sample_rate_hz = Some(1000.0);
         let (summary, _) = acquisition.open_recording().unwrap();
-        assert_eq!(summary.channels, ["time", "flexor", "extensor", "thumb"]);
+        assert_eq!(summary.channels, ["flexor", "extensor", "thumb", "ulna"]);
     }
 
     #[test]
@@ -387,12 +395,15 @@ mod tests {
     }
 
     #[test]
-    fn a_table_gives_its_first_columns_and_a_3dc_recording_the_models_channels() {
+    fn a_table_gives_its_first_muscles_and_a_3dc_recording_the_models_channels() {
         let channels = |path: &str| {
             let replay = ReplaySettings { path: Some(path.into()), ..ReplaySettings::default() };
-            replay.recording(4).channels
+            replay.recording(4).unwrap().channels
         };
-        assert_eq!(channels("emg.csv"), [0, 1, 2, 3].map(Channel::Index));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("emg.csv");
+        std::fs::write(&path, "Time,a,b,c,gesture,d\n0,1,2,3,0,5\n").unwrap();
+        assert_eq!(channels(path.to_str().unwrap()), ["a", "b", "c", "d"].map(Channel::from));
         assert_eq!(channels("EMG/3dc_EMG_gesture_0_1.txt"), [0, 3, 5, 8].map(Channel::Index));
     }
 

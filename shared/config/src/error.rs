@@ -34,7 +34,7 @@ pub enum ConfigError {
     },
     /// A plain table whose sampling rate was not given.
     #[error(
-        "{} does not state its sampling rate: give it, such as --replay-rate-hz 1000, or \
+        "{} does not state its sampling rate: give it, such as --recording-rate-hz 1000, or \
          acquisition.replay.sample_rate_hz",
         path.display()
     )]

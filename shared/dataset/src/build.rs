@@ -22,7 +22,7 @@ use crate::ordered;
 use crate::place::Place;
 use crate::recording::Recording;
 use crate::settings::DatasetSettings;
-use crate::split::{self, Split, SplitError};
+use crate::split::{self, HeldOut, Split, SplitError};
 use crate::trial::RecordingEntry;
 
 /// How far [`build`] has come.
@@ -66,7 +66,7 @@ pub enum DatasetError {
     Split(#[from] SplitError),
     /// All windows are held out.
     #[error(
-        "nothing is left to train on: all windows are of those held out ({held_out}); hold out fewer people or sessions"
+        "nothing is left to train on: all windows are of those held out ({held_out}); hold out fewer people, sessions or repetitions"
     )]
     NothingToTrain {
         /// What is held out, in words.
@@ -159,6 +159,8 @@ pub struct BuildSettings {
     pub test_people: Vec<PersonId>,
     /// Sessions held out of everybody, such as `test` of 3DC: all their windows are for the test.
     pub test_sessions: Vec<String>,
+    /// Repetitions held out of everybody, counted through all sessions of the person: all their windows are for the test.
+    pub test_repetitions: Vec<u8>,
     /// Seed of the choice of windows for validation.
     pub seed: u64,
     /// Recordings that are read at a time. The data set does not depend on it.
@@ -178,6 +180,7 @@ impl Default for BuildSettings {
         BuildSettings {
             test_people: Vec::new(),
             test_sessions: Vec::new(),
+            test_repetitions: Vec::new(),
             seed: 0,
             threads,
             replaces: false,
@@ -404,9 +407,11 @@ impl<'a> Builder<'a> {
             };
             return Err(DatasetError::NoWindows { recordings: self.finished, first_reason });
         }
-        let BuildSettings { test_people, test_sessions, seed, .. } = building;
-        let splits = split::splits(&recordings, test_people, test_sessions, *seed);
-        let split = split::entry_of(&splits, &recordings, test_people, test_sessions, *seed);
+        let BuildSettings { test_people, test_sessions, test_repetitions, seed, .. } = building;
+        let held_out = HeldOut { test_people, test_sessions, test_repetitions };
+        held_out.check_repetitions(&recordings)?;
+        let splits = split::splits(&recordings, &held_out, *seed);
+        let split = split::entry_of(&splits, &recordings, &held_out, *seed);
         if split.windows.train == 0 {
             return Err(DatasetError::NothingToTrain { held_out: split.held_out });
         }

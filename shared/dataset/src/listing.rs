@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{
-    Channel, RecordedSession, RecordingError, Segment, Signals, SkippedEntry, SkippedKind, is_signals,
-    ozdemir, three_dc,
+    Channel, RecordedSession, RecordingError, RecordingSource, Segment, Signals, SkippedEntry, SkippedKind,
+    is_signals, ozdemir, three_dc,
 };
 use tendon_signal::canonical_unit;
 
@@ -48,7 +48,7 @@ impl Layout {
     /// Unit of the samples of that data set; `None` for your own recordings.
     fn unit(self) -> Option<&'static str> {
         match self {
-            Layout::ThreeDc => Some("adc_counts"),
+            Layout::ThreeDc => Some(three_dc::UNIT),
             Layout::OzdemirMat | Layout::OzdemirTrials => Some("mV"),
             Layout::Labelled => None,
         }
@@ -375,6 +375,12 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
 /// Whom the recorder of earlier versions labelled everybody's recordings with; whose they are stands beside the labels.
 const EARLIER_RECORDER: PersonId = PersonId::Number(1);
 
+/// Whether nothing in a table tells its sampling rate. What else is wrong with it shows when it is read.
+fn tells_no_rate(file: &LabelledFile) -> bool {
+    let opened = RecordingSource::of_table(file.segments.clone(), &[Channel::Index(0)], None);
+    matches!(opened, Err(RecordingError::SampleRateMissing { .. }))
+}
+
 fn labelled_recordings(
     settings: &DatasetSettings,
     folders: &[PathBuf],
@@ -394,7 +400,8 @@ fn labelled_recordings(
             *unit = canonical_unit(&recorded.unit).to_owned();
         }
         for mut file in labels::read(folder, skipped)? {
-            if settings.recording_rate_hz.or(default_hz).is_none() && !is_signals(&file.path) {
+            let is_rate_known = settings.recording_rate_hz.or(default_hz).is_some();
+            if !is_rate_known && !is_signals(&file.path) && tells_no_rate(&file) {
                 return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
             }
             if unit.is_empty() && is_signals(&file.path) {

@@ -52,8 +52,6 @@ impl Recording {
             Content::OzdemirMat => ozdemir::open(&self.path, &settings.channels, settings.recording_rate_hz),
             Content::Table { segments, default_hz } => {
                 let rate_hz = settings.recording_rate_hz.or(*default_hz);
-                let rate_hz =
-                    rate_hz.ok_or_else(|| RecordingError::SampleRateMissing { file: self.path.clone() })?;
                 RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)
             }
             Content::Signals { segments } => RecordingSource::of_signals(

@@ -1,8 +1,8 @@
 //! Which windows a model is trained on, which ones tell when to stop, and which ones test it.
 //!
 //! ```text
-//! people, sessions ─┬─ held out ─▶ test: all of their windows
-//!                   └─ others ───▶ of each gesture one window in five, chosen by chance: validation; the rest: training
+//! people, sessions,  ┬─ held out ─▶ test: all of their windows
+//! repetitions        └─ others ───▶ of each gesture one window in five, chosen by chance: validation; the rest: training
 //! ```
 //! Neighbouring windows overlap, so those of one person must never be on both sides of the test: validation says
 //! how well a model learns, and only the test how well it does for somebody new.
@@ -59,6 +59,9 @@ pub struct SplitEntry {
     /// Sessions held out of all people, in order.
     #[serde(default)]
     pub test_sessions: Vec<String>,
+    /// Repetitions held out of all people, counted through all sessions of the person, in order.
+    #[serde(default)]
+    pub test_repetitions: Vec<u8>,
     /// What is held out, in words.
     #[serde(default)]
     pub held_out: String,
@@ -124,6 +127,17 @@ pub enum SplitError {
         /// The sessions there are.
         known: Vec<String>,
     },
+    /// A repetition to hold out that nobody made.
+    #[error(
+        "there is no repetition {repetition} to hold out, counted through all sessions of a person: choose among {}",
+        .known.iter().map(u8::to_string).collect::<Vec<_>>().join(", ")
+    )]
+    UnknownTestRepetition {
+        /// The repetition asked for.
+        repetition: u8,
+        /// The repetitions there are.
+        known: Vec<u8>,
+    },
     /// Everybody is held out.
     #[error("all people ({}) are held out: leave at least one to train on", list_of(.known))]
     EverybodyHeldOut {
@@ -175,29 +189,56 @@ pub(crate) fn check_sessions(test_sessions: &[String], recordings: &[Recording])
     }
 }
 
-/// What is held out, in words.
-fn held_out(test_people: &[PersonId], test_sessions: &[String]) -> String {
-    let sessions = || format!("session {} of people trained on", test_sessions.join(", "));
-    match (test_people, test_sessions) {
-        ([], []) => "nothing".to_owned(),
-        (people, []) => format!("people {}", list_of(people)),
-        ([], _) => sessions(),
-        (people, _) => format!("people {} and {}", list_of(people), sessions()),
+/// Whose windows, and which, are for the test.
+pub(crate) struct HeldOut<'a> {
+    pub(crate) test_people: &'a [PersonId],
+    pub(crate) test_sessions: &'a [String],
+    pub(crate) test_repetitions: &'a [u8],
+}
+
+impl HeldOut<'_> {
+    /// Refuses repetitions to hold out that nobody made.
+    pub(crate) fn check_repetitions(&self, recordings: &[RecordingEntry]) -> Result<(), SplitError> {
+        let known: BTreeSet<u8> = recordings.iter().map(|entry| entry.repetition_of_all).collect();
+        match self.test_repetitions.iter().find(|repetition| !known.contains(repetition)) {
+            Some(&repetition) => {
+                Err(SplitError::UnknownTestRepetition { repetition, known: known.into_iter().collect() })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Whether the windows of a trial are for the test.
+    fn includes(&self, entry: &RecordingEntry) -> bool {
+        self.test_people.contains(&entry.person) || self.is_part(entry)
+    }
+
+    /// Whether a trial is of a part that is held out of everybody.
+    fn is_part(&self, entry: &RecordingEntry) -> bool {
+        self.test_sessions.contains(&entry.session)
+            || self.test_repetitions.contains(&entry.repetition_of_all)
     }
 }
 
+/// What is held out, in words.
+fn held_out(test_people: &[PersonId], test_sessions: &[String], test_repetitions: &[u8]) -> String {
+    let numbers: Vec<String> = test_repetitions.iter().map(u8::to_string).collect();
+    let of_known = |what: &str, names: &[String]| {
+        (!names.is_empty()).then(|| format!("{what} {} of people trained on", names.join(", ")))
+    };
+    let people = (!test_people.is_empty()).then(|| format!("people {}", list_of(test_people)));
+    let parts = [people, of_known("session", test_sessions), of_known("repetition", &numbers)];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    if parts.is_empty() { "nothing".to_owned() } else { parts.join(" and ") }
+}
+
 /// What each window is for, in order.
-pub(crate) fn splits(
-    recordings: &[RecordingEntry],
-    test_people: &[PersonId],
-    test_sessions: &[String],
-    seed: u64,
-) -> Vec<Split> {
+pub(crate) fn splits(recordings: &[RecordingEntry], held_out: &HeldOut<'_>, seed: u64) -> Vec<Split> {
     let mut splits = Vec::new();
     let mut others: BTreeMap<Gesture, Vec<usize>> = BTreeMap::new();
     for entry in recordings {
         let windows = entry.windows as usize;
-        if test_people.contains(&entry.person) || test_sessions.contains(&entry.session) {
+        if held_out.includes(entry) {
             splits.extend(std::iter::repeat_n(Split::Test, windows));
         } else {
             others.entry(entry.gesture).or_default().extend(splits.len()..splits.len() + windows);
@@ -227,19 +268,22 @@ fn chance(seed: u64, index: u64) -> u64 {
 pub(crate) fn entry_of(
     splits: &[Split],
     recordings: &[RecordingEntry],
-    test_people: &[PersonId],
-    test_sessions: &[String],
+    of: &HeldOut<'_>,
     seed: u64,
 ) -> SplitEntry {
     let count = |wanted: Split| splits.iter().filter(|&&split| split == wanted).count() as u64;
-    let test_people: BTreeSet<PersonId> = test_people.iter().copied().collect();
-    let trains = |entry: &&RecordingEntry| !test_sessions.contains(&entry.session);
+    let test_people: BTreeSet<PersonId> = of.test_people.iter().copied().collect();
+    let trains = |entry: &&RecordingEntry| !of.is_part(entry);
     let people: BTreeSet<PersonId> = recordings.iter().filter(trains).map(|entry| entry.person).collect();
-    let test_sessions: BTreeSet<String> = test_sessions.iter().cloned().collect();
+    let test_sessions: BTreeSet<String> = of.test_sessions.iter().cloned().collect();
     let test_sessions: Vec<String> = test_sessions.into_iter().collect();
+    let test_repetitions: BTreeSet<u8> = of.test_repetitions.iter().copied().collect();
+    let test_repetitions: Vec<u8> = test_repetitions.into_iter().collect();
+    let held_out_people: Vec<PersonId> = test_people.iter().copied().collect();
     SplitEntry {
-        held_out: held_out(&test_people.iter().copied().collect::<Vec<PersonId>>(), &test_sessions),
+        held_out: held_out(&held_out_people, &test_sessions, &test_repetitions),
         test_sessions,
+        test_repetitions,
         train_people: people.difference(&test_people).copied().collect(),
         test_people: test_people.into_iter().collect(),
         validation_share: VALIDATION_SHARE,

@@ -70,7 +70,7 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     let folder =
         write_three_dc(temporary.path(), &[(0, 0, 1500), (0, 1, 900), (0, 2, 600), (0, 5, 900), (1, 4, 900)]);
     // Broken beyond repair: repetition 2 is left out as a whole.
-    fs::write(folder.join("3dc_EMG_gesture_2_0.txt"), "1,2\n3,NULL\n").unwrap();
+    fs::write(folder.join("3dc_EMG_gesture_2_0.txt"), "1,2\n3,four\n").unwrap();
     let settings = DatasetSettings {
         channels: vec![Channel::Index(0), Channel::Index(1)],
         ..DatasetSettings::default()
@@ -104,7 +104,7 @@ fn a_data_set_is_cut_as_its_manifest_says() {
     let reasons: Vec<&str> = manifest.skipped.iter().map(|skipped| skipped.reason.as_str()).collect();
     assert!(reasons.contains(&"its gesture is not one of the six"), "{reasons:?}");
     assert!(
-        reasons.iter().any(|reason| reason.contains("line 2, column 2: missing sample `NULL`")),
+        reasons.iter().any(|reason| reason.contains("line 2, column 2: `four` is not a number")),
         "{reasons:?}"
     );
     assert!(manifest.notices.iter().any(|notice| notice.contains("3dc_EMG_gesture_0_3.txt is missing")));

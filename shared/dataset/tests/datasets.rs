@@ -508,7 +508,31 @@ fn a_session_that_is_held_out_is_said_to_be_one_of_people_trained_on() {
     assert!(manifest.split.windows.test > 0 && manifest.split.windows.train > 0);
     let message = |sessions: &[&str]| build_without(sessions).unwrap_err().to_string();
     assert_eq!(message(&["friday"]), "there is no session friday to hold out: choose among monday, tuesday");
-    assert!(message(&["monday", "tuesday"]).contains("hold out fewer people or sessions"));
+    assert!(message(&["monday", "tuesday"]).contains("hold out fewer people, sessions"));
+}
+
+#[test]
+fn a_repetition_that_is_held_out_is_said_to_be_one_of_people_trained_on() {
+    let temporary = tempfile::tempdir().unwrap();
+    write_three_dc(&temporary.path().join("recordings"), &[1, 2]);
+    let out = temporary.path().join("out");
+    let build = |test_repetitions: &[u8]| {
+        let test_repetitions = test_repetitions.to_vec();
+        let building = BuildSettings { test_repetitions, ..BuildSettings::default() };
+        build(&settings(), &building, &temporary.path().join("recordings"), &out)
+    };
+    let manifest = build(&[5, 1]).unwrap();
+    assert_eq!(manifest.split.held_out, "repetition 1, 5 of people trained on");
+    assert_eq!((&manifest.split.test_repetitions[..], manifest.split.train_people.len()), (&[1, 5][..], 2));
+    let stored = StoredDataset::open(&out).unwrap();
+    for window in 0..stored.len() {
+        let is_held_out = [1, 5].contains(&stored.repetition(window));
+        assert_eq!(stored.split(window) == Split::Test, is_held_out, "window {window}");
+    }
+    let refused = build(&[9]).unwrap_err().to_string();
+    assert!(refused.starts_with("there is no repetition 9 to hold out"), "{refused}");
+    assert!(refused.ends_with("choose among 0, 1, 4, 5"), "{refused}");
+    assert!(matches!(build(&[0, 1, 4, 5]), Err(DatasetError::NothingToTrain { .. })));
 }
 
 #[test]

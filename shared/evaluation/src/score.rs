@@ -156,7 +156,7 @@ pub fn score_dataset(
 }
 
 /// Scores `classifier` on the windows that are cut from the recordings at or below `paths`, whose `channels` it is
-/// given. `wanted` as for [`score_dataset`]; `on_progress` counts recordings.
+/// given. `recording_rate_hz` is the rate of recordings that do not state it. `wanted` as for [`score_dataset`]; `on_progress` counts recordings.
 ///
 /// # Errors
 /// When there are no recordings, or none of what the model knows.
@@ -164,10 +164,11 @@ pub fn score_recordings(
     classifier: Classifier,
     paths: &[PathBuf],
     channels: &[Channel],
+    recording_rate_hz: Option<f64>,
     wanted: &[PersonId],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(Scores, Tally), ScoreError> {
-    let settings = settings_of(classifier.contract(), channels);
+    let settings = DatasetSettings { recording_rate_hz, ..settings_of(classifier.contract(), channels) };
     let source = WindowSource {
         name: "--channels",
         channels: channels.len(),
@@ -227,7 +228,7 @@ fn people_known<'a>(
     let trained_on = &classifier.contract().trained_on;
     let mut known: BTreeSet<PersonId> = trained_on.people_of(data_set).iter().copied().collect();
     for (person, session) in sessions {
-        if !trained_on.knows(data_set, person, session) {
+        if !trained_on.knows(data_set, person, session, None) {
             known.remove(&person);
         }
     }
@@ -266,7 +267,12 @@ impl Scorer {
     fn take(&mut self, window: &Window<'_>) -> Result<(), ClassifierError> {
         let trained_on = &self.classifier.contract().trained_on;
         if !self.people.contains(&window.person)
-            || trained_on.knows(self.data_set.as_deref(), window.person, window.session)
+            || trained_on.knows(
+                self.data_set.as_deref(),
+                window.person,
+                window.session,
+                Some(window.repetition),
+            )
         {
             return Ok(());
         }
@@ -314,16 +320,16 @@ impl Scorer {
         let trained_on = &self.classifier.contract().trained_on;
         let is_trained = |person: &PersonId| trained_on.people_of(self.data_set.as_deref()).contains(person);
         let trained = self.people.iter().filter(|person| is_trained(person)).count();
-        let sessions = trained_on.held_out_sessions.join(", ");
+        let held_out = trained_on.held_out();
         if trained_on.people.is_empty() {
             "people, of whom the model does not say whether it was trained on them".to_owned()
         } else if trained == 0 {
             "people whom the model was not trained on".to_owned()
         } else if trained == self.people.len() {
-            format!("session {sessions} of people whom the model was trained on, in other sessions")
+            format!("{held_out} of people whom the model was trained on, in others")
         } else {
             format!(
-                "people whom the model was not trained on, and session {sessions} of others, whom it was trained on"
+                "people whom the model was not trained on, and {held_out} of others, whom it was trained on"
             )
         }
     }

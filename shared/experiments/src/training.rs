@@ -205,6 +205,7 @@ mod tests {
             split: SplitEntry {
                 test_people: people(test_people),
                 test_sessions: Vec::new(),
+                test_repetitions: Vec::new(),
                 held_out: String::new(),
                 train_people: people(train_people),
                 validation_share: 0.2,

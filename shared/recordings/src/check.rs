@@ -13,7 +13,9 @@ pub struct Summary {
     pub samples: u64,
     /// Sampling rate in Hz.
     pub sample_rate_hz: f64,
-    /// Length in seconds.
+    /// Unit of the samples; empty if it is not known.
+    pub unit: String,
+    /// Length in seconds, without what is missing.
     pub duration_s: f64,
     /// Columns of the first file, chosen or not.
     pub file_channels: usize,
@@ -21,8 +23,6 @@ pub struct Summary {
     pub channels: Vec<String>,
     /// The files in order, with their cues.
     pub cues: Vec<CueSpan>,
-    /// Unit of the samples in the file's words; empty if it does not say.
-    pub unit: String,
     /// What its user should know.
     pub notices: Vec<Notice>,
 }
@@ -46,9 +46,29 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
     let mut source = RecordingSource::open(path, settings)?;
     let mut frames = vec![0.0; FRAMES_AT_ONCE * source.channels()];
     let mut counts = vec![0_u64; source.segments().len()];
+    let mut constant = Vec::new();
     while let Some((count, Frame { segment, .. })) = source.next_frames(&mut frames)? {
+        let frames = &frames[..count * source.channels()];
+        if counts.iter().all(|count| *count == 0) {
+            constant = frames[..source.channels()].iter().copied().enumerate().collect();
+        }
+        constant.retain(|(channel, value)| {
+            frames.iter().skip(*channel).step_by(source.channels()).all(|sample| sample == value)
+        });
         counts[segment] += count as u64;
     }
+    if counts.iter().all(|count| *count == 0) {
+        return Err(RecordingError::NoSamples {
+            path: path.to_owned(),
+            channels: source.chosen().join(", "),
+        });
+    }
+    let names = source.chosen();
+    let constant = constant.into_iter().map(|(channel, value)| {
+        let channel = names[channel].clone();
+        Notice::Constant { path: path.to_owned(), channel, value }
+    });
+    let notices = source.notices().iter().cloned().chain(constant).collect();
     let mut samples = 0;
     let cues = source.segments().iter().zip(counts).map(|(segment, count)| {
         let span = CueSpan { segment: segment.clone(), first_sample: samples, samples: count };
@@ -65,6 +85,6 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         channels: source.chosen(),
         unit: source.unit().to_owned(),
         cues,
-        notices: source.notices().to_vec(),
+        notices,
     })
 }

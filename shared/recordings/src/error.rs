@@ -66,6 +66,14 @@ pub enum RecordingError {
         /// The rate in the settings.
         given_hz: f64,
     },
+    /// A recording without a single frame.
+    #[error("{}: no line has a sample in every chosen column ({channels}): choose other channels", .path.display())]
+    NoSamples {
+        /// The recording.
+        path: PathBuf,
+        /// The chosen columns.
+        channels: String,
+    },
     /// Rates between which no resampler is made.
     #[error(
         "cannot resample from {from_hz} Hz to {to_hz} Hz: both must be above 0, and neither more than 100000 times the \
@@ -130,7 +138,10 @@ impl RecordingError {
     pub fn is_missing_channel(&self) -> bool {
         match self {
             RecordingError::Table { error, .. } => {
-                matches!(error.problem, TableProblem::MissingChannel { .. })
+                matches!(
+                    error.problem,
+                    TableProblem::MissingChannel { .. } | TableProblem::TooFewMuscles { .. }
+                )
             }
             RecordingError::Mat { error, .. } => matches!(error, MatError::NoColumn { .. }),
             RecordingError::Signals { error, .. } => {

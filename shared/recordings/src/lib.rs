@@ -41,5 +41,5 @@ pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, Simu
 pub use replay::{ReplayBlock, ReplayStream};
 pub use segment::{Notice, Segment, SkippedEntry, SkippedKind};
 pub use signals::{Cue, Gap, Signals, SignalsError, is_signals};
-pub use source::{Frame, RecordingSettings, RecordingSource};
-pub use table::Channel;
+pub use source::{Frame, RecordingSettings, RecordingSource, first_muscles, muscles};
+pub use table::{Channel, ColumnKind};

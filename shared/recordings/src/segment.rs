@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize, Serializer};
 use tendon_gesture::Gesture;
 
+use crate::table::{ColumnKind, TimingRemark};
+
 /// A file of a recording, or a part of one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Segment {
@@ -44,6 +46,51 @@ pub enum Notice {
         file: PathBuf,
         /// Whole lines of samples before it.
         lines: u64,
+    },
+    /// A chosen column does not look like EMG.
+    NoMuscle {
+        /// The file.
+        file: PathBuf,
+        /// The column.
+        column: String,
+        /// What it looks like.
+        kind: ColumnKind,
+    },
+    /// Something about the time of a table.
+    Time {
+        /// The file.
+        file: PathBuf,
+        /// What.
+        remark: TimingRemark,
+    },
+    /// Samples are missing, by the column of time or a counter.
+    Gaps {
+        /// The file.
+        file: PathBuf,
+        /// In how many places.
+        gaps: u64,
+        /// How many samples.
+        samples: u64,
+        /// The line after the first of them.
+        line: u64,
+    },
+    /// Lines have no sample in a chosen column.
+    MissingSamples {
+        /// The file.
+        file: PathBuf,
+        /// How many.
+        lines: u64,
+        /// The first one.
+        line: u64,
+    },
+    /// A channel has the same value throughout.
+    Constant {
+        /// The recording.
+        path: PathBuf,
+        /// The channel, by name or number.
+        channel: String,
+        /// The value.
+        value: f32,
     },
     /// A file was not ended by whoever wrote it.
     CutOff {
@@ -111,6 +158,29 @@ impl fmt::Display for Notice {
                 "{}: the last line is cut short and was left out; {lines} lines of samples before it were read",
                 file.display()
             ),
+            Notice::NoMuscle { file, column, kind } => write!(
+                formatter,
+                "{}: column `{column}` is taken as EMG, as asked, but looks like {kind}",
+                file.display()
+            ),
+            Notice::Time { file, remark } => write!(formatter, "{}: {remark}", file.display()),
+            Notice::Gaps { file, gaps, samples, line } => write!(
+                formatter,
+                "{}: {samples} samples are missing in {} (the first before line {line}): nothing is joined across",
+                file.display(),
+                places(*gaps)
+            ),
+            Notice::MissingSamples { file, lines, line } => write!(
+                formatter,
+                "{}: {} no sample in a chosen column (the first is line {line}): gaps of one sample each",
+                file.display(),
+                if *lines == 1 { "1 line has".to_owned() } else { format!("{lines} lines have") }
+            ),
+            Notice::Constant { path, channel, value } => write!(
+                formatter,
+                "{}: channel {channel} was constant ({value}): is its electrode connected?",
+                path.display()
+            ),
             Notice::CutOff { file, read } => write!(
                 formatter,
                 "{}: the file was cut off or not closed; what it holds was read: {read}",
@@ -143,6 +213,10 @@ impl fmt::Display for Notice {
             ),
         }
     }
+}
+
+fn places(count: u64) -> String {
+    if count == 1 { "1 place".to_owned() } else { format!("{count} places") }
 }
 
 /// Why something is left out, to sum it up by.

@@ -10,14 +10,14 @@ use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
 use crate::signals::{Signals, is_signals};
-use crate::table::{Channel, Table};
+use crate::table::{self, Channel, ColumnKind, Row, Table, TableError, TimingRemark};
 use crate::three_dc;
 
 /// Most frames to read at once: enough to make the overhead negligible, few enough to stay in the fastest cache.
 pub(crate) const FRAMES_AT_ONCE: usize = 256;
 
 /// How a recording is to be read.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordingSettings {
     /// Which channels, in the order they shall have.
@@ -55,13 +55,28 @@ pub struct RecordingSource {
     position: u64,
     /// Samples that are missing before the next frame.
     lost_samples: u64,
+    missing: Missing,
+}
+
+/// What is missing in the file that is read, as far as it was read.
+#[derive(Clone, Copy, Debug, Default)]
+struct Missing {
+    /// Places where samples are missing, by the column of time or a counter; how many samples; the line after the first.
+    gaps: u64,
+    gap_samples: u64,
+    gap_line: u64,
+    /// Lines without a sample in a chosen column, up to the last line that has them all; the first one.
+    lines: u64,
+    line: u64,
+    /// Such lines since then.
+    lines_since: u64,
 }
 
 /// Where the samples are.
 #[derive(Debug)]
 enum Samples {
-    /// In a text file, the one of the current segment.
-    Table { table: Table, text: Text },
+    /// In a text file, the one of the current segment, with the unit that it states.
+    Table { table: Table, text: Text, unit: String },
     /// In memory: the chosen channels, all of the same length.
     Columns(Columns),
 }
@@ -109,6 +124,18 @@ impl Text {
     }
 }
 
+/// What was read in one go.
+struct Rows {
+    /// Lines, those without a sample included.
+    lines: usize,
+    /// Frames.
+    samples: usize,
+    /// Samples that are missing before the first of them.
+    samples_lost_before: u64,
+    /// Why no more could be read.
+    problem: Option<TableError>,
+}
+
 impl RecordingSource {
     /// Opens the recording at `path`. The layout follows from its name:
     ///
@@ -117,7 +144,7 @@ impl RecordingSource {
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
     /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
-    /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at `settings.sample_rate_hz`, or at the rate that a `session.toml` of Tendon beside it states |
+    /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at the rate that it tells, that a `session.toml` of Tendon beside it states, or `settings.sample_rate_hz` |
     ///
     /// # Errors
     /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
@@ -131,32 +158,67 @@ impl RecordingSource {
         }
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
-        let known_hz = match segments[0].repetition {
-            Some(_) => Some(three_dc::SAMPLE_RATE_HZ),
-            None => RecordedSession::beside(path)?.map(|session| session.sample_rate_hz),
+        let given_hz = settings.sample_rate_hz;
+        let mut source = if segments[0].repetition.is_some() {
+            let sample_rate_hz = sample_rate(path, Some(three_dc::SAMPLE_RATE_HZ), given_hz)?;
+            let (text, _) = Text::open(&segments[0].file)?;
+            let table = Table::open(text.bytes(), &settings.channels);
+            let table = table.map_err(RecordingError::table(&segments[0].file))?;
+            let samples = Samples::Table { table, text, unit: String::new() };
+            RecordingSource::of(samples, settings.channels.len(), segments, Vec::new(), sample_rate_hz)
+        } else {
+            let recorded_hz = RecordedSession::beside(path)?.map(|session| session.sample_rate_hz);
+            let given_hz = match recorded_hz {
+                Some(_) => Some(sample_rate(path, recorded_hz, given_hz)?),
+                None => given_hz,
+            };
+            RecordingSource::of_table(segments, &settings.channels, given_hz)?
         };
-        let sample_rate_hz = sample_rate(path, known_hz, settings.sample_rate_hz)?;
-        let mut source = RecordingSource::of_table(segments, &settings.channels, sample_rate_hz)?;
         source.notices.splice(..0, notices);
         Ok(source)
     }
 
-    /// Opens the text files that `segments` name, at least one.
+    /// Opens the table that `segments`, at least one, divide. Its rate is what it states or what its column of time shows;
+    /// `given_hz` must not differ by more than 1 %, and holds where the table does not tell.
     ///
     /// # Errors
-    /// When the first file cannot be opened or lacks a channel.
+    /// When the file cannot be opened, lacks a channel, or has no rate or another one.
     pub fn of_table(
         segments: Vec<Segment>,
         channels: &[Channel],
-        sample_rate_hz: f64,
+        given_hz: Option<f64>,
     ) -> Result<RecordingSource, RecordingError> {
-        let first = &segments[0].file;
-        let (text, notice) = Text::open(first)?;
-        let table = Table::open(text.bytes(), channels).map_err(RecordingError::table(first))?;
-        let samples = Samples::Table { table, text };
-        let channels = channels.len();
-        let notices = notice.into_iter().collect();
-        Ok(RecordingSource::of(samples, channels, segments, notices, sample_rate_hz))
+        let file = &segments[0].file;
+        let (text, notice) = Text::open(file)?;
+        let mut notices: Vec<Notice> = notice.into_iter().collect();
+        let mut table = Table::open(text.bytes(), channels).map_err(RecordingError::table(file))?;
+        let mut own_hz = None;
+        let mut unit = String::new();
+        // Of a recording that Tendon made, all columns are channels.
+        if !is_recorded(file) {
+            let columns = table::columns(text.bytes()).map_err(RecordingError::table(file))?;
+            let chosen = table.chosen_columns();
+            let odd = chosen.iter().filter(|column| columns[**column].kind != ColumnKind::Muscle);
+            notices.extend(odd.map(|column| {
+                let (name, kind) = (table.name(*column), columns[*column].kind);
+                Notice::NoMuscle { file: file.clone(), column: name, kind }
+            }));
+            let units = chosen.iter().map(|column| &columns[*column].unit);
+            let common = units.clone().next().filter(|first| units.clone().all(|unit| unit == *first));
+            unit = common.cloned().unwrap_or_default();
+            let timing = table.watch_time(text.bytes(), &columns).map_err(RecordingError::table(file))?;
+            own_hz = timing.rate_hz;
+            let is_guess = matches!(timing.remark, Some(TimingRemark::TakenAsMilliseconds { .. }));
+            if is_guess && given_hz.is_some() {
+                own_hz = None;
+            } else if let Some(remark) = timing.remark {
+                notices.push(Notice::Time { file: file.clone(), remark });
+            }
+        }
+        let is_given = |hz: f64| given_hz.is_some_and(|given| table::is_same_rate(given, hz));
+        let sample_rate_hz = sample_rate(file, own_hz.filter(|hz| !is_given(*hz)), given_hz)?;
+        let samples = Samples::Table { table, text, unit };
+        Ok(RecordingSource::of(samples, channels.len(), segments, notices, sample_rate_hz))
     }
 
     /// Opens the file at `path`, which describes itself (see [`is_signals`]), divided by its own cues, or as `segments` of it say.
@@ -218,6 +280,7 @@ impl RecordingSource {
             segment: 0,
             position: 0,
             lost_samples,
+            missing: Missing::default(),
         }
     }
 
@@ -260,10 +323,10 @@ impl RecordingSource {
         }
     }
 
-    /// Unit of the samples in the file's words; empty if the file does not say.
+    /// Unit of the chosen channels in the file's words; empty if the file does not state one for all.
     pub fn unit(&self) -> &str {
         match &self.samples {
-            Samples::Table { .. } => "",
+            Samples::Table { unit, .. } => unit,
             Samples::Columns(columns) => &columns.unit,
         }
     }
@@ -278,7 +341,7 @@ impl RecordingSource {
         }
     }
 
-    /// What its user should know, found when it was opened.
+    /// What its user should know: at first what was found when it was opened, at the end also what was found on the way.
     pub fn notices(&self) -> &[Notice] {
         &self.notices
     }
@@ -322,41 +385,19 @@ impl RecordingSource {
                     continue;
                 }
             }
-            let wanted = frames.chunks_exact_mut(self.channels).take(wanted);
-            let mut count = 0;
-            let mut problem = None;
-            match &mut self.samples {
-                Samples::Table { table, text } => {
-                    for frame in wanted {
-                        match table.next_row(text.bytes(), frame) {
-                            Ok(true) => count += 1,
-                            Ok(false) => break,
-                            Err(error) => {
-                                problem = Some(error);
-                                break;
-                            }
-                        }
-                    }
-                    text.file.release_before(table.position());
-                }
-                Samples::Columns(Columns { samples: columns, .. }) => {
-                    let position = self.position as usize;
-                    let left = columns.first().map_or(0, |column| column.len() - position);
-                    for (frame, index) in wanted.zip(position..position + left) {
-                        frame.iter_mut().zip(&*columns).for_each(|(value, column)| *value = column[index]);
-                        count += 1;
-                    }
-                }
-            }
-            if count > 0 {
-                self.position += count as u64;
+            let Rows { lines, samples, samples_lost_before, problem } = self.read_rows(frames, wanted);
+            self.position += lines as u64;
+            if samples > 0 {
                 let cue = self.segments[self.segment].cue;
-                let samples_lost_before = std::mem::take(&mut self.lost_samples);
-                return Ok(Some((count, Frame { segment: self.segment, cue, samples_lost_before })));
+                return Ok(Some((samples, Frame { segment: self.segment, cue, samples_lost_before })));
             }
             if let Some(error) = problem {
                 return Err(RecordingError::table(&self.segments[self.segment].file)(error));
             }
+            if lines > 0 {
+                continue;
+            }
+            self.sum_up_missing();
             // Of segments within one file none is left when the file ends.
             if is_last || end_sample.is_some() {
                 return Ok(None);
@@ -365,9 +406,90 @@ impl RecordingSource {
         }
     }
 
+    /// Reads up to `wanted` rows of the file into `frames`, up to the first one before which samples are missing.
+    fn read_rows(&mut self, frames: &mut [f32], wanted: usize) -> Rows {
+        let mut rows = Rows { lines: 0, samples: 0, samples_lost_before: 0, problem: None };
+        let (table, text) = match &mut self.samples {
+            Samples::Table { table, text, .. } => (table, text),
+            Samples::Columns(Columns { samples: columns, .. }) => {
+                let position = self.position as usize;
+                let left = columns.first().map_or(0, |column| column.len() - position);
+                let frames = frames.chunks_exact_mut(self.channels).take(wanted);
+                for (frame, index) in frames.zip(position..position + left) {
+                    frame.iter_mut().zip(&*columns).for_each(|(value, column)| *value = column[index]);
+                    rows.samples += 1;
+                }
+                if rows.samples > 0 {
+                    rows.samples_lost_before = std::mem::take(&mut self.lost_samples);
+                }
+                rows.lines = rows.samples;
+                return rows;
+            }
+        };
+        let missing = &mut self.missing;
+        let mut frames = frames.chunks_exact_mut(self.channels);
+        let mut frame = frames.next();
+        while let Some(values) = frame.as_mut().filter(|_| rows.lines < wanted) {
+            match table.next_row(text.bytes(), values) {
+                Ok(Row::Samples) => {
+                    if rows.samples == 0 {
+                        rows.samples_lost_before = std::mem::take(&mut self.lost_samples);
+                        missing.lines += std::mem::take(&mut missing.lines_since);
+                    }
+                    rows.samples += 1;
+                    rows.lines += 1;
+                    frame = frames.next();
+                }
+                Ok(Row::Missing) => {
+                    rows.lines += 1;
+                    self.lost_samples += 1;
+                    missing.lines_since += 1;
+                    if missing.line == 0 {
+                        missing.line = table.lines();
+                    }
+                }
+                Ok(Row::Gap(samples)) => {
+                    self.lost_samples += samples;
+                    missing.gap_samples += samples;
+                    missing.gaps += 1;
+                    if missing.gap_line == 0 {
+                        missing.gap_line = table.lines() + 1;
+                    }
+                }
+                Ok(Row::End) => break,
+                Err(error) => {
+                    rows.problem = Some(error);
+                    break;
+                }
+            }
+            if rows.samples > 0 && self.lost_samples > 0 {
+                break;
+            }
+        }
+        text.file.release_before(table.position());
+        rows
+    }
+
+    /// Says what was missing in the file that has been read.
+    fn sum_up_missing(&mut self) {
+        let Missing { gaps, gap_samples, gap_line, lines, line, .. } = std::mem::take(&mut self.missing);
+        let file = &self.segments[self.segment].file;
+        if gaps > 0 {
+            self.notices.push(Notice::Gaps {
+                file: file.clone(),
+                gaps,
+                samples: gap_samples,
+                line: gap_line,
+            });
+        }
+        if lines > 0 {
+            self.notices.push(Notice::MissingSamples { file: file.clone(), lines, line });
+        }
+    }
+
     fn open_next_segment(&mut self) -> Result<(), RecordingError> {
         let path = &self.segments[self.segment + 1].file;
-        if let Samples::Table { table, text } = &mut self.samples {
+        if let Samples::Table { table, text, .. } = &mut self.samples {
             let (next, notice) = Text::open(path)?;
             table.continue_with(next.bytes()).map_err(RecordingError::table(path))?;
             *text = next;
@@ -382,6 +504,46 @@ impl RecordingSource {
         self.segment += 1;
         self.lost_samples += self.segments[self.segment].samples_lost_before;
     }
+}
+
+/// The channels of the table at `path` that are muscles, as far as can be told; of a recording that Tendon made, all.
+///
+/// # Errors
+/// When it cannot be opened or is no table.
+pub fn muscles(path: &Path) -> Result<Vec<Channel>, RecordingError> {
+    muscles_of(path, table::muscles)
+}
+
+/// The first `count` channels of the table at `path` that are muscles.
+///
+/// # Errors
+/// When it cannot be opened, is no table, or has too few.
+pub fn first_muscles(path: &Path, count: usize) -> Result<Vec<Channel>, RecordingError> {
+    muscles_of(path, |columns| table::first_muscles(columns, count))
+}
+
+fn muscles_of(
+    path: &Path,
+    choose: impl FnOnce(&[table::Column]) -> Result<Vec<Channel>, TableError>,
+) -> Result<Vec<Channel>, RecordingError> {
+    if is_signals(path) {
+        let names = RecordingSource::open(
+            path,
+            &RecordingSettings { channels: vec![0.into()], ..RecordingSettings::default() },
+        )?
+        .file_names();
+        return choose(&table::columns_by_name(&names)).map_err(RecordingError::table(path));
+    }
+    // What is no table is refused in its own words.
+    segments(path, &RecordingSettings::default(), &mut Vec::new())?;
+    let (text, _) = Text::open(path)?;
+    let columns = table::columns(text.bytes()).and_then(|mut columns| {
+        if is_recorded(path) {
+            columns.iter_mut().for_each(|column| column.kind = ColumnKind::Muscle);
+        }
+        choose(&columns)
+    });
+    columns.map_err(RecordingError::table(path))
 }
 
 /// The files at `path`, at least one.

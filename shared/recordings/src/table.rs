@@ -1,13 +1,14 @@
 //! Numbers out of a text table, one line at a time: the parser below every text recording.
 //!
 //! ```text
-//! EMG_zyg,EMG_cor\n        header: accepted when no cell of line 1 is a number
+//! EMG_zyg,EMG_cor\n        the head: names, units, other lines before the samples (see `head`)
 //! -0.1455,-0.0970\n        one line a sample, one column a channel
 //! └─ column 1 ─┘ └ newline: \n or \r\n; the last line may have none
 //! ```
 //!
 //! The separator (tab, `;`, `,` or blanks, in this order of preference) and the number of columns come from
-//! line 1; every later line must match. Only chosen columns are parsed; the others are just counted.
+//! the first line of samples; every later line must match. Only chosen columns are parsed; the others are just counted.
+//! What the columns are is a question for [`columns`].
 //!
 //! Most recordings hold converter counts and nothing else, `-27,58,70`: such lines go through `counts`, which is
 //! much faster and gives up on anything else. All other lines, and all errors, take the general path.
@@ -17,77 +18,328 @@
 
 mod cells;
 mod channel;
+mod clock;
+mod column;
 mod counts;
+mod head;
 mod problem;
 
 pub use channel::Channel;
 pub(crate) use channel::places;
-pub use problem::{TableError, TableProblem};
+pub use column::{Column, ColumnKind};
+pub use problem::{Rate, TableError, TableProblem};
 
-use cells::{Cells, Line, Separator, excerpt, is_missing_sample, is_text, line_at, sample, text_start};
+use std::fmt;
+
+use cells::{
+    Cells, Line, Separator, excerpt, is_missing, is_text, line_at, number, sample, text_start, unusual_sample,
+};
+use clock::{Clock, Measured};
+use column::{Shape, kind_of};
+use head::Head;
 use problem::error_at;
 
-/// Longest first line, in bytes. What has no newline for so long is no table, and a file may be very large.
-const LONGEST_FIRST_LINE: usize = 1 << 20;
+/// Rows at the beginning by which the kinds of columns are found out.
+const ROWS_AT_START: usize = 2048;
+/// Places further on, and rows at each.
+const PLACES: usize = 8;
+const ROWS_AT_PLACE: usize = 128;
+/// Share by which two rates of the same samples may differ.
+const SAME_RATE: f64 = 0.01;
+
+/// What [`Table::next_row`] found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Row {
+    /// A line of samples.
+    Samples,
+    /// A line in which a chosen cell is empty or says that its sample is missing.
+    Missing,
+    /// So many samples that are missing before the next line, by the column of time or a counter.
+    Gap(u64),
+    /// The end.
+    End,
+}
+
+/// What a table says about its time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Timing {
+    /// Its sampling rate in Hz, if it tells.
+    pub rate_hz: Option<f64>,
+    /// What its user should know.
+    pub remark: Option<TimingRemark>,
+}
+
+/// What is odd about the time of a table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TimingRemark {
+    /// The column of time does not rise from sample to sample: gaps are not seen in it.
+    Bursts {
+        /// The column.
+        column: String,
+    },
+    /// No unit says what the column counts.
+    TakenAsMilliseconds {
+        /// The column.
+        column: String,
+    },
+    /// The lines before the table state another rate than the column of time has, which holds.
+    StatedOtherwise {
+        /// The column.
+        column: String,
+        /// Its rate.
+        rate_hz: Rate,
+        /// The stated one.
+        stated_hz: Rate,
+    },
+}
+
+impl fmt::Display for TimingRemark {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            TimingRemark::Bursts { column } => write!(
+                out,
+                "its samples come in bursts by column `{column}`, which is not used for the rate or to find missing samples"
+            ),
+            TimingRemark::TakenAsMilliseconds { column } => write!(
+                out,
+                "column `{column}` rises by 1 and states no unit: it is taken as ms, so 1000 Hz; give the rate if it is another"
+            ),
+            TimingRemark::StatedOtherwise { column, rate_hz, stated_hz } => write!(
+                out,
+                "its first lines state {stated_hz} Hz, but column `{column}` rises with {rate_hz} Hz, which is taken"
+            ),
+        }
+    }
+}
 
 /// How a text table is laid out, which of its columns are wanted, and how far it has been read.
 #[derive(Clone, Debug)]
 pub struct Table {
     separator: Separator,
+    /// Whether a comma can be a decimal sign.
+    has_comma: bool,
     names: Vec<String>,
     /// For each column its place in a frame, if chosen.
     places: Vec<Option<usize>>,
     chosen: usize,
+    clock: Option<Clock>,
+    /// Whether the samples missing before the next line were told.
+    is_gap_told: bool,
     /// Where the next line starts, in bytes.
     position: usize,
     /// Lines read so far.
     line: u64,
 }
 
+/// What the columns of the table in `text` are, by its head and some of its rows.
+///
+/// # Errors
+/// When there are no samples, with the place where they should be.
+pub fn columns(text: &[u8]) -> Result<Vec<Column>, TableError> {
+    let Head { separator, columns, names, units, rates_hz, position, .. } = Head::find(text)?;
+    let has_comma = separator != Separator::Byte(b',');
+    let mut shapes = vec![Shape::default(); columns];
+    let mut read_rows = |mut position: usize, rows: usize| {
+        for row in 0..rows {
+            let Some(line) = line_at(text, position) else { break };
+            position = line.next;
+            if line.content.trim_ascii().is_empty() {
+                continue;
+            }
+            for (shape, cell) in shapes.iter_mut().zip(Cells::of(line.content, separator)) {
+                shape.push(cell, is_missing(cell), has_comma, row > 0);
+            }
+        }
+        position
+    };
+    let mut next = read_rows(position, ROWS_AT_START);
+    for place in 1..=PLACES {
+        let wanted = position + (text.len() - position) / PLACES * place;
+        // The last one ends with the text.
+        let length = (next - position).min(text.len() - position) * ROWS_AT_PLACE / ROWS_AT_START;
+        let wanted = wanted.saturating_sub(length.max(1)).max(next);
+        let Some(line) = line_at(text, wanted) else { break };
+        next = read_rows(line.next, ROWS_AT_PLACE);
+    }
+    let cell = |cells: &Vec<String>, column: usize| cells.get(column).cloned().unwrap_or_default();
+    let column = |(column, shape): (usize, &Shape)| {
+        let name = cell(&names, column);
+        let mut unit = cell(&units, column);
+        let kind = kind_of(&name, &unit, shape);
+        if kind == ColumnKind::Time && unit.is_empty() {
+            unit = column::unit_of_time(&name);
+        }
+        Column { name, unit, rate_hz: rates_hz[column], kind }
+    };
+    Ok(shapes.iter().enumerate().map(column).collect())
+}
+
+/// What channels are, of which only the names are known.
+pub(crate) fn columns_by_name(names: &[String]) -> Vec<Column> {
+    let column = |name: &String| {
+        let kind = kind_of(name, "", &Shape::default());
+        Column { name: name.clone(), unit: String::new(), rate_hz: None, kind }
+    };
+    names.iter().map(column).collect()
+}
+
+/// The first `count` columns of a table that are muscles, of one rate, by name where that is unique, else by number.
+///
+/// # Errors
+/// When there are too few, or a column with the name of a muscle rises as time does.
+pub fn first_muscles(columns: &[Column], count: usize) -> Result<Vec<Channel>, TableError> {
+    if columns.len() < count {
+        let problem = TableProblem::MissingChannel { channel: columns.len(), columns: columns.len() };
+        return Err(error_at(1, columns.len() + 1, problem));
+    }
+    let muscles = muscles(columns)?;
+    if muscles.len() < count {
+        let listed = columns.iter().enumerate().map(|(index, column)| match &column.name[..] {
+            "" => format!("{index}: {}", column.kind),
+            name => format!("{name}: {}", column.kind),
+        });
+        let columns = listed.collect::<Vec<_>>().join(", ");
+        let problem = TableProblem::TooFewMuscles { wanted: count, found: muscles.len(), columns };
+        return Err(error_at(1, 1, problem));
+    }
+    Ok(muscles.into_iter().take(count).collect())
+}
+
+/// All columns of a table that are muscles, as [`first_muscles`] gives them. Where their rates are stated and differ, the
+/// slower ones are left out.
+///
+/// # Errors
+/// When a column with the name of a muscle rises as time does.
+pub fn muscles(columns: &[Column]) -> Result<Vec<Channel>, TableError> {
+    if let Some(index) = columns.iter().position(|column| column.kind == ColumnKind::RisingMuscle) {
+        return Err(error_at(1, index + 1, TableProblem::RisingMuscle(columns[index].name.clone())));
+    }
+    let is_muscle = |column: &&Column| column.kind == ColumnKind::Muscle;
+    let fastest_hz = columns.iter().filter(is_muscle).filter_map(|column| column.rate_hz).fold(0.0, f64::max);
+    let is_fast = |column: &Column| column.rate_hz.is_none_or(|hz| hz >= fastest_hz * (1.0 - SAME_RATE));
+    let channel = |(index, column): (usize, &Column)| {
+        let is_unique = columns.iter().filter(|other| other.name == column.name).count() == 1;
+        match &column.name[..] {
+            name if is_unique && !name.is_empty() && name.parse::<usize>().is_err() => Channel::from(name),
+            _ => Channel::Index(index),
+        }
+    };
+    let muscles = columns.iter().enumerate().filter(|(_, column)| is_muscle(column) && is_fast(column));
+    Ok(muscles.map(channel).collect())
+}
+
 impl Table {
-    /// Finds out the layout from the first line of `text` and chooses `channels`, in the order a frame shall
+    /// Finds out the layout from the beginning of `text` and chooses `channels`, in the order a frame shall
     /// have.
     ///
     /// # Errors
-    /// When there is no first line of numbers or names, or a chosen channel is not there, each with its place.
+    /// When there is no line of numbers, or a chosen channel is not there, each with its place.
     pub fn open(text: &[u8], channels: &[Channel]) -> Result<Table, TableError> {
-        let start = first_line_start(text)?;
-        let Some(first) = line_at(head(text), start) else {
-            return Err(error_at(1, 1, TableProblem::Empty));
-        };
-        let is_cut_off = !first.terminated && text.len() > LONGEST_FIRST_LINE;
-        if is_cut_off || !is_text(first.content) {
-            return Err(error_at(1, 1, TableProblem::NotText));
-        }
-        let separator = Separator::of_line(first.content);
-        let columns = Cells::of(first.content, separator).count();
-        let mut names = Vec::new();
-        let (mut position, mut line) = (start, 0);
-        let is_header = Cells::of(first.content, separator).all(|cell| {
-            !cell.is_empty() && fast_float2::parse::<f32, _>(cell).is_err() && !is_missing_sample(cell)
-        });
-        if is_header {
-            names.extend(Cells::of(first.content, separator).map(|cell| {
-                let name = cell.strip_prefix(b"\"").and_then(|name| name.strip_suffix(b"\"")).unwrap_or(cell);
-                String::from_utf8_lossy(name).into_owned()
-            }));
-            (position, line) = (first.next, 1);
-            if text[position..].trim_ascii().is_empty() {
-                return Err(error_at(2, 1, TableProblem::Empty));
-            }
-        }
+        let Head { separator, columns, names, position, lines, .. } = Head::find(text)?;
         let places = places(channels, columns, &names)?;
-        Ok(Table { separator, names, places, chosen: channels.len(), position, line })
+        let has_comma = separator != Separator::Byte(b',') && !has_decimal_point(text, position);
+        Ok(Table {
+            separator,
+            has_comma,
+            names,
+            places,
+            chosen: channels.len(),
+            clock: None,
+            is_gap_told: false,
+            position,
+            line: lines,
+        })
     }
 
-    /// Goes to the start of another text, which must have the same layout but no header line: the next file
+    /// Finds the sampling rate in what the head states and in the column of time, and watches that column, or a counter,
+    /// for missing samples from now on. `columns` are what [`columns`] gives for `text`, of which nothing has been read.
+    ///
+    /// # Errors
+    /// When the chosen columns have different rates.
+    pub fn watch_time(&mut self, text: &[u8], columns: &[Column]) -> Result<Timing, TableError> {
+        let chosen = self.chosen_columns();
+        let stated = |column: usize| {
+            let before = column.checked_sub(1).filter(|before| columns[*before].kind == ColumnKind::Time);
+            columns[column].rate_hz.or_else(|| columns[before?].rate_hz)
+        };
+        let stated_hz = self.common_rate(&chosen, stated)?;
+        let measure = |column| Measured::of_time(text, self.position, self.separator, column, self.has_comma);
+        // Each channel may have a column of time of its own, left of it.
+        let time_of = |column: usize| {
+            let is_time = |index: &usize| columns[*index].kind == ColumnKind::Time;
+            (0..column).rev().find(is_time).or_else(|| (0..columns.len()).find(is_time))
+        };
+        let mut timing = Timing { rate_hz: stated_hz, remark: None };
+        let time = chosen.first().and_then(|first| time_of(*first));
+        let measured = time.and_then(|time| Some((time, measure(time)?)));
+        if let Some((time, measured)) = measured {
+            let rate_of = |column| measure(time_of(column)?)?.rate_hz(&columns[time_of(column)?].unit);
+            self.common_rate(&chosen, rate_of)?;
+            let unit = &columns[time].unit;
+            let name = || self.name(time);
+            let rate_hz = measured.rate_hz(unit);
+            timing = match (rate_hz, stated_hz) {
+                // Both know: the stated one is exact.
+                (Some(rate_hz), Some(stated_hz)) if is_same_rate(rate_hz, stated_hz) => timing,
+                (Some(_), Some(_)) if measured.may_count_rows(unit) => timing,
+                (Some(rate_hz), Some(stated_hz)) => {
+                    let (rate, stated_hz) = (Rate(rate_hz), Rate(stated_hz));
+                    let remark = TimingRemark::StatedOtherwise { column: name(), rate_hz: rate, stated_hz };
+                    Timing { rate_hz: Some(rate_hz), remark: Some(remark) }
+                }
+                (Some(rate_hz), None) => {
+                    let is_unsure = measured.may_count_rows(unit);
+                    let remark = is_unsure.then(|| TimingRemark::TakenAsMilliseconds { column: name() });
+                    Timing { rate_hz: Some(rate_hz), remark }
+                }
+                (None, _) => timing,
+            };
+            self.clock = Some(measured.clock);
+        } else {
+            let counter = (0..columns.len()).find(|index| columns[*index].kind == ColumnKind::Counter);
+            self.clock = counter.and_then(|counter| {
+                Measured::of_counter(text, self.position, self.separator, counter, self.has_comma)
+            });
+            timing.remark = time.map(|time| TimingRemark::Bursts { column: self.name(time) });
+        }
+        Ok(timing)
+    }
+
+    /// The rate that the chosen columns have in common, by `rate_of`; `None` if it knows of none.
+    fn common_rate(
+        &self,
+        chosen: &[usize],
+        rate_of: impl Fn(usize) -> Option<f64>,
+    ) -> Result<Option<f64>, TableError> {
+        let mut known = chosen.iter().filter_map(|column| Some((*column, rate_of(*column)?)));
+        let Some((first, first_hz)) = known.next() else { return Ok(None) };
+        match known.find(|(_, rate_hz)| !is_same_rate(*rate_hz, first_hz)) {
+            Some((second, second_hz)) => {
+                let (first, second_name) = (self.name(first), self.name(second));
+                let (first_hz, second_hz) = (Rate(first_hz), Rate(second_hz));
+                let columns =
+                    format!("column `{first}` has {first_hz} Hz and column `{second_name}` {second_hz} Hz");
+                let problem = TableProblem::RatesDiffer { columns };
+                Err(error_at(1, second + 1, problem))
+            }
+            None => Ok(Some(first_hz)),
+        }
+    }
+
+    /// Goes to the start of another text, which must have the same layout but no head: the next file
     /// of a recording made of several.
     ///
     /// # Errors
     /// When the text has no line.
     pub fn continue_with(&mut self, text: &[u8]) -> Result<(), TableError> {
-        self.position = first_line_start(text)?;
+        self.position = text_start(text);
+        if text[self.position..].trim_ascii().is_empty() {
+            return Err(error_at(1, 1, TableProblem::Empty));
+        }
         self.line = 0;
+        if let Some(clock) = &mut self.clock {
+            clock.restart();
+        }
         Ok(())
     }
 
@@ -96,18 +348,28 @@ impl Table {
         self.places.len()
     }
 
-    /// The names in the header line; empty when there is none.
+    /// The names in the head; empty when there are none.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// The chosen columns in the order of a frame: by name where there is a header line, else by number from 0.
+    /// The chosen columns in the order of a frame: by name where they have one, else by number from 0.
     pub fn chosen(&self) -> Vec<String> {
-        let mut columns: Vec<_> =
-            self.places.iter().enumerate().filter(|(_, place)| place.is_some()).collect();
-        columns.sort_by_key(|(_, place)| **place);
-        let name = |column: usize| self.names.get(column).cloned().unwrap_or_else(|| column.to_string());
-        columns.into_iter().map(|(column, _)| name(column)).collect()
+        self.chosen_columns().into_iter().map(|column| self.name(column)).collect()
+    }
+
+    /// The numbers of the chosen columns, in the order of a frame.
+    pub fn chosen_columns(&self) -> Vec<usize> {
+        let mut columns: Vec<usize> =
+            (0..self.places.len()).filter(|column| self.places[*column].is_some()).collect();
+        columns.sort_by_key(|column| self.places[*column]);
+        columns
+    }
+
+    /// A column's name, or its number where it has none.
+    pub fn name(&self, column: usize) -> String {
+        let name = self.names.get(column).filter(|name| !name.is_empty());
+        name.cloned().unwrap_or_else(|| column.to_string())
     }
 
     /// Bytes of the text that have been read.
@@ -115,9 +377,15 @@ impl Table {
         self.position
     }
 
-    /// Reads the next line of `text` into `frame`, one value for each chosen channel; `false` at the end,
-    /// where blank lines may stand. `text` is the one last given to [`open`](Table::open) or
-    /// [`continue_with`](Table::continue_with). Nothing is allocated but for an error.
+    /// Lines of the text that have been read, those of the head included.
+    pub fn lines(&self) -> u64 {
+        self.line
+    }
+
+    /// Reads the next line of `text` into `frame`, one value for each chosen channel. At the end, blank lines may stand.
+    /// A gap is told before the line that follows it is read. `text` is the one last given to [`open`](Table::open) or
+    /// [`continue_with`](Table::continue_with). Nothing is allocated but for an error. Only of [`Row::Samples`], `frame`
+    /// holds them.
     ///
     /// # Errors
     /// When the line is not what the first line promised, with its place. Reading on after an error gives
@@ -126,41 +394,72 @@ impl Table {
     /// # Panics
     /// When `frame` is not one value for each chosen channel.
     #[inline]
-    pub fn next_row(&mut self, text: &[u8], frame: &mut [f32]) -> Result<bool, TableError> {
+    pub fn next_row(&mut self, text: &[u8], frame: &mut [f32]) -> Result<Row, TableError> {
         assert_eq!(frame.len(), self.chosen, "a frame holds one value for each chosen channel");
         if let Separator::Byte(separator) = self.separator
+            && self.clock.is_none()
             && let Some(next) = counts::read_line(text, self.position, separator, &self.places, frame)
         {
             self.position = next;
             self.line += 1;
-            return Ok(true);
+            return Ok(Row::Samples);
         }
-        let Some(line) = line_at(text, self.position) else { return Ok(false) };
-        if let Err(column) = self.parse(line.content, frame) {
+        let Some(line) = line_at(text, self.position) else { return Ok(Row::End) };
+        let parsed = match self.parse(line.content, frame) {
+            Ok(parsed) => parsed,
+            Err(_) if line.content.trim_ascii().is_empty() && text[line.next..].trim_ascii().is_empty() => {
+                self.position = text.len();
+                return Ok(Row::End);
+            }
+            Err(column) => return Err(self.explain(&line, column)),
+        };
+        if parsed.is_missing {
             if line.content.trim_ascii().is_empty() && text[line.next..].trim_ascii().is_empty() {
                 self.position = text.len();
-                return Ok(false);
+                return Ok(Row::End);
             }
-            return Err(self.explain(&line, column));
+            let last_cell = Cells::of(line.content, self.separator).last().unwrap_or_default();
+            let last_place = self.places.last().copied().flatten();
+            if !line.terminated && last_place.is_some() && matches!(last_cell, [] | [b'-']) {
+                return Err(self.explain(&line, self.places.len() - 1));
+            }
+        }
+        if let Some(clock) = &mut self.clock {
+            let lost = clock.lost_before(parsed.time);
+            if lost > 0 && !self.is_gap_told {
+                self.is_gap_told = true;
+                return Ok(Row::Gap(lost));
+            }
+            self.is_gap_told = false;
+            clock.advance(parsed.time);
         }
         self.position = line.next;
         self.line += 1;
-        Ok(true)
+        Ok(if parsed.is_missing { Row::Missing } else { Row::Samples })
     }
 
     /// Parses one line; where that fails, the column (from 0) it fails at.
     #[inline]
-    fn parse(&self, line: &[u8], frame: &mut [f32]) -> Result<(), usize> {
+    fn parse(&self, line: &[u8], frame: &mut [f32]) -> Result<Parsed, usize> {
         let mut columns = 0;
+        let mut parsed = Parsed { is_missing: false, time: f64::NAN };
+        let clock = self.clock.as_ref().map_or(usize::MAX, |clock| clock.column);
         for cell in Cells::of(line, self.separator) {
             match self.places.get(columns) {
                 Some(None) => {}
-                Some(&Some(place)) => frame[place] = sample(cell).ok_or(columns)?,
+                Some(&Some(place)) => match sample(cell) {
+                    Some(sample) => frame[place] = sample,
+                    None if is_missing(cell) => parsed.is_missing = true,
+                    None => frame[place] = unusual_sample(cell, self.has_comma).ok_or(columns)?,
+                },
                 None => return Err(columns),
+            }
+            if columns == clock {
+                parsed.time = number(cell, self.has_comma).unwrap_or(f64::NAN);
             }
             columns += 1;
         }
-        if columns == self.places.len() { Ok(()) } else { Err(columns) }
+        if columns == self.places.len() { Ok(parsed) } else { Err(columns) }
     }
 
     /// Why a line could not be parsed beyond `column` (from 0).
@@ -188,11 +487,7 @@ impl Table {
             return error_at(number, first_wrong, TableProblem::Ragged { expected, found });
         }
         let cell = Cells::of(line.content, self.separator).nth(column).unwrap_or_default();
-        let problem = if cell.is_empty() {
-            TableProblem::EmptyCell
-        } else if is_missing_sample(cell) {
-            TableProblem::MissingSample(excerpt(cell))
-        } else if fast_float2::parse::<f32, _>(cell).is_ok() {
+        let problem = if fast_float2::parse::<f32, _>(cell).is_ok() {
             TableProblem::NotFinite(excerpt(cell))
         } else {
             TableProblem::NotANumber(excerpt(cell))
@@ -201,21 +496,25 @@ impl Table {
     }
 }
 
-/// The beginning of `text`, in which the first line has to end.
-fn head(text: &[u8]) -> &[u8] {
-    &text[..text.len().min(LONGEST_FIRST_LINE)]
+/// What a line holds beside its samples.
+struct Parsed {
+    /// Whether a chosen cell has no sample.
+    is_missing: bool,
+    /// What the column of the clock says; NaN where it says nothing.
+    time: f64,
 }
 
-/// Where the first line starts, if there is anything to read.
-fn first_line_start(text: &[u8]) -> Result<usize, TableError> {
-    let start = text_start(text);
-    if text[start..].trim_ascii().is_empty() {
-        return Err(error_at(1, 1, TableProblem::Empty));
-    }
-    match line_at(head(text), start) {
-        Some(line) if line.content.trim_ascii().is_empty() => Err(error_at(1, 1, TableProblem::BlankLine)),
-        _ => Ok(start),
-    }
+/// Whether two rates are those of the same samples.
+pub(crate) fn is_same_rate(first_hz: f64, second_hz: f64) -> bool {
+    (first_hz - second_hz).abs() <= SAME_RATE * first_hz.max(second_hz)
+}
+
+/// Whether one of the first rows has a number with a decimal point: then a comma is no decimal sign.
+fn has_decimal_point(text: &[u8], position: usize) -> bool {
+    let rows = &text[position..text.len().min(position + (1 << 12))];
+    let is_point =
+        |window: &[u8]| window[0].is_ascii_digit() && window[1] == b'.' && window[2].is_ascii_digit();
+    rows.windows(3).any(is_point)
 }
 
 #[cfg(test)]
@@ -230,10 +529,14 @@ mod tests {
         let mut table = Table::open(text, channels)?;
         let mut frame = vec![0.0; channels.len()];
         let mut rows = Vec::new();
-        while table.next_row(text, &mut frame)? {
-            rows.push(frame.clone());
+        loop {
+            match table.next_row(text, &mut frame)? {
+                Row::Samples => rows.push(frame.clone()),
+                Row::Missing => rows.push(vec![f32::NAN; channels.len()]),
+                Row::Gap(_) => {}
+                Row::End => return Ok(rows),
+            }
         }
-        Ok(rows)
     }
 
     fn columns(indices: &[usize]) -> Vec<Channel> {
@@ -260,9 +563,9 @@ mod tests {
 
     #[test]
     fn a_large_file_without_lines_is_no_table() {
-        let zeros = vec![0; LONGEST_FIRST_LINE + 1];
+        let zeros = vec![0; head::LONGEST_HEAD + 1];
         assert_fails(&zeros, 1, 1, TableProblem::NotText);
-        assert_fails(vec![b'1'; LONGEST_FIRST_LINE + 1], 1, 1, TableProblem::NotText);
+        assert_fails(vec![b'1'; head::LONGEST_HEAD + 1], 1, 1, TableProblem::NotText);
     }
 
     #[test]
@@ -309,14 +612,29 @@ mod tests {
     #[test]
     fn cells_without_a_finite_number_are_refused() {
         assert_fails("1,2\n3,four\n", 2, 2, TableProblem::NotANumber("four".into()));
-        assert_fails("1;2\n3,5;4\n", 2, 1, TableProblem::NotANumber("3,5".into()));
-        assert_fails("1,2\nNULL,4\n", 2, 1, TableProblem::MissingSample("NULL".into()));
-        assert_fails("NULL,NULL\n1,2\n", 1, 1, TableProblem::MissingSample("NULL".into()));
-        assert_fails("1,2\n3, \n", 2, 2, TableProblem::EmptyCell);
-        assert_fails("1,2\n3,NaN\n", 2, 2, TableProblem::NotFinite("NaN".into()));
-        assert_fails("nan,2\n3,4\n", 1, 1, TableProblem::NotFinite("nan".into()));
+        assert_fails("1.5;2\n3,5;4\n", 2, 1, TableProblem::NotANumber("3,5".into()));
         assert_fails("1,2\n-inf,4\n", 2, 1, TableProblem::NotFinite("-inf".into()));
         assert_fails("1,2\n1e39,4\n", 2, 1, TableProblem::NotFinite("1e39".into()));
+    }
+
+    #[test]
+    fn a_line_without_a_sample_is_missing_wherever_it_is_chosen() {
+        for cell in ["NULL", "", " ", "NaN", "n/a", "-", "\"\""] {
+            let text = format!("1,2,3\n4,{cell},6\n7,8,9\n");
+            let rows = read(&text, &columns(&[0, 1])).unwrap();
+            assert!(rows[1].iter().all(|value| value.is_nan()), "{text:?}");
+            assert_eq!([&rows[0], &rows[2]], [&[1.0, 2.0], &[7.0, 8.0]], "{text:?}");
+            assert_eq!(read(&text, &columns(&[2])).unwrap(), [[3.0], [6.0], [9.0]], "{text:?}");
+        }
+        assert_eq!(read("NULL,NULL\n1,2\n", &columns(&[0, 1])).unwrap(), [[1.0, 2.0]]);
+    }
+
+    #[test]
+    fn a_comma_is_a_decimal_sign_where_it_separates_nothing() {
+        let text = "X[s];EMG 1 [mV]\n0;-1,5\n0,001;2\n0,002;2,25e-1\n";
+        assert_eq!(read(text, &columns(&[0, 1])).unwrap(), [[0.0, -1.5], [0.001, 2.0], [0.002, 0.225]]);
+        assert_eq!(read("1\t-0,5\n2\t7\n", &columns(&[1])).unwrap(), [[-0.5], [7.0]]);
+        assert_eq!(read("1,5\n2,7\n", &columns(&[1])).unwrap(), [[5.0], [7.0]]);
     }
 
     #[test]
@@ -330,7 +648,6 @@ mod tests {
     #[test]
     fn a_blank_line_between_samples_is_refused() {
         assert_fails("1,2\n\n3,4\n", 2, 1, TableProblem::BlankLine);
-        assert_fails("\n1,2\n", 1, 1, TableProblem::BlankLine);
     }
 
     #[test]
@@ -354,7 +671,7 @@ mod tests {
         let text = b"1,2\n3\n4,5\n";
         let mut table = Table::open(text, &columns(&[0, 1])).unwrap();
         let mut frame = [0.0; 2];
-        assert_eq!(table.next_row(text, &mut frame), Ok(true));
+        assert_eq!(table.next_row(text, &mut frame), Ok(Row::Samples));
         let error = table.next_row(text, &mut frame).unwrap_err();
         assert_eq!(table.next_row(text, &mut frame), Err(error));
     }
@@ -415,7 +732,7 @@ mod tests {
             channel in 0_usize..4,
         ) {
             if let Ok(rows) = read(&bytes, &columns(&[channel])) {
-                prop_assert!(rows.iter().flatten().all(|value| value.is_finite()));
+                prop_assert!(rows.iter().flatten().all(|value| !value.is_infinite()));
             }
         }
 
@@ -424,7 +741,7 @@ mod tests {
             text in "[-+0-9eE.,;\t \r\nNULnaif\u{feff}\0é]{0,80}",
         ) {
             match read(&text, &columns(&[0])) {
-                Ok(rows) => prop_assert!(rows.iter().flatten().all(|value| value.is_finite())),
+                Ok(rows) => prop_assert!(rows.iter().flatten().all(|value| !value.is_infinite())),
                 Err(error) => prop_assert!(error.line as usize <= text.split('\n').count() + 1 && error.column > 0),
             }
         }

@@ -22,6 +22,9 @@ pub const DATA_SET: &str = "3DC";
 /// Sampling rate of all 3DC recordings, in Hz.
 pub const SAMPLE_RATE_HZ: f64 = 1000.0;
 
+/// Unit of its samples.
+pub const UNIT: &str = "adc_counts";
+
 /// Electrodes of the armband, evenly around the arm: the channels of a recording, in order.
 pub const ELECTRODES: usize = 10;
 

@@ -404,7 +404,7 @@ fn a_real_recording_at_2000_hz_has_twice_the_samples() {
 }
 
 #[test]
-fn runs_of_null_are_refused_where_they_begin() {
+fn runs_of_null_are_gaps_that_a_notice_counts() {
     let Some(three_dc) = three_dc() else { return };
     let folder = three_dc.join("../mains-noise");
     for name in ["sample_data_01.csv", "sample_data_03.csv"] {
@@ -416,12 +416,14 @@ fn runs_of_null_are_refused_where_they_begin() {
         };
         let text = fs::read_to_string(&path).unwrap();
         let first_null = text.lines().position(|line| line.contains("NULL"));
-        match (check(&path, &by_name), first_null) {
-            (Ok(summary), None) => assert_eq!(summary.samples as usize, text.lines().count() - 1),
-            (Err(RecordingError::Table { error, .. }), Some(line)) => {
-                assert_eq!(error.line as usize, line + 1)
-            }
-            (result, first_null) => panic!("{name}: {result:?}, NULL first in {first_null:?}"),
-        }
+        let nulls = text.lines().filter(|line| line.contains("NULL")).count();
+        let summary = check(&path, &by_name).unwrap();
+        assert_eq!(summary.samples as usize, text.lines().count() - 1 - nulls, "{name}");
+        let notice = first_null.map(|line| Notice::MissingSamples {
+            file: path.clone(),
+            lines: nulls as u64,
+            line: line as u64 + 1,
+        });
+        assert_eq!(summary.notices, Vec::from_iter(notice), "{name}");
     }
 }

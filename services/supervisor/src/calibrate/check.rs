@@ -154,7 +154,8 @@ fn network(folder: &Path, channels: usize) -> anyhow::Result<(String, f64)> {
     let model = model_beside_program(file)?;
     let classifier = Classifier::load(&runtime_library(None)?, &model)?;
     let channels: Vec<Channel> = (0..channels).map(Channel::Index).collect();
-    let (scores, _) = score_recordings(classifier, &[folder.to_owned()], &channels, &[], &mut |_, _| ())?;
+    let (scores, _) =
+        score_recordings(classifier, &[folder.to_owned()], &channels, None, &[], &mut |_, _| ())?;
     Ok((file.to_owned(), scores.evaluation.macro_average.recall))
 }
 

@@ -70,8 +70,8 @@ pub(super) fn dataset(options: &Options, option: &str) -> anyhow::Result<Dataset
         );
     }
     let config = options.base.configuration_of("tendon evaluate", &WINDOW_KEYS)?;
-    let settings = dataset_settings(&config, &[], options.recording_rate_hz);
-    let channels = channels_or_default(&options.channels, &settings, &options.paths)?;
+    let settings = dataset_settings(&config, &[], options.recording.recording_rate_hz);
+    let channels = channels_or_default(&options.recording.channels, &settings, &options.paths)?;
     Ok(DatasetSettings { channels, ..settings })
 }
 

@@ -87,8 +87,7 @@ pub enum ListingError {
     },
     /// Tables with labels, whose sampling rate was not given.
     #[error(
-        "the files named in {} do not state their sampling rate: give it with --recording-rate-hz, e.g. 2000, or, to a \
-         command without that option, a data set that `tendon dataset build` made of them",
+        "the files named in {} do not state their sampling rate: give it with --recording-rate-hz, e.g. 2000",
         .labels.display()
     )]
     NoRate {

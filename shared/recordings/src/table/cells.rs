@@ -70,6 +70,49 @@ pub(super) fn sample(cell: &[u8]) -> Option<f32> {
     fast_float2::parse::<f32, _>(cell).ok().filter(|value| value.is_finite())
 }
 
+/// The number in a cell, with a decimal comma if `has_comma` allows it. Not for every sample: [`sample`] is faster.
+pub(super) fn number(cell: &[u8], has_comma: bool) -> Option<f64> {
+    let cell = without_quotes(cell);
+    if let Ok(number) = fast_float2::parse::<f64, _>(cell) {
+        return Some(number);
+    }
+    with_point(cell, &mut [0; LONGEST_NUMBER])
+        .filter(|_| has_comma)
+        .and_then(|cell| fast_float2::parse(cell).ok())
+}
+
+/// The sample in a cell that has quotes or, if `has_comma` allows it, a decimal comma.
+#[cold]
+pub(super) fn unusual_sample(cell: &[u8], has_comma: bool) -> Option<f32> {
+    number(cell, has_comma).map(|number| number as f32).filter(|value| value.is_finite())
+}
+
+/// Bytes of the longest number with a decimal comma.
+const LONGEST_NUMBER: usize = 40;
+
+/// A number with a decimal comma, with a point instead; `None` if it has none.
+fn with_point<'buffer>(cell: &[u8], buffer: &'buffer mut [u8; LONGEST_NUMBER]) -> Option<&'buffer [u8]> {
+    let comma = cell.iter().position(|byte| *byte == b',')?;
+    if cell.contains(&b'.') {
+        return None;
+    }
+    let written = buffer.get_mut(..cell.len())?;
+    written.copy_from_slice(cell);
+    written[comma] = b'.';
+    Some(written)
+}
+
+/// A cell without the quotes around it.
+pub(super) fn without_quotes(cell: &[u8]) -> &[u8] {
+    cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
+}
+
+/// Whether a cell holds no sample: nothing, a word for a missing one, or NaN.
+pub(super) fn is_missing(cell: &[u8]) -> bool {
+    let cell = without_quotes(cell);
+    cell.is_empty() || is_missing_sample(cell) || fast_float2::parse::<f32, _>(cell).is_ok_and(f32::is_nan)
+}
+
 /// Whether a cell is a word by which tools write a missing sample.
 pub(super) fn is_missing_sample(cell: &[u8]) -> bool {
     ["null", "na", "n/a", "none", "-"].iter().any(|word| cell.eq_ignore_ascii_case(word.as_bytes()))

@@ -1,5 +1,7 @@
 //! What can be wrong with a table, and where.
 
+use std::fmt;
+
 /// A place in a table that cannot be read, and why.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}, column {column}: {problem}")]
@@ -43,18 +45,12 @@ pub enum TableProblem {
         /// Values that are complete.
         found: usize,
     },
-    /// Nothing between two separators.
-    #[error("empty cell: fill in the sample or cut the recording here")]
-    EmptyCell,
-    /// A word that stands for a missing sample, such as `NULL`.
-    #[error("missing sample `{0}`: cut the recording here, or fill the gap before replaying it")]
-    MissingSample(String),
-    /// NaN, infinity, or a number too large for 32-bit floating point.
+    /// Infinity, or a number too large for 32-bit floating point.
     #[error("`{0}` is not a finite sample: cut the recording here or choose other channels")]
     NotFinite(String),
     /// Text where a number belongs.
     #[error(
-        "`{0}` is not a number: samples are written like -12 or 0.5e-3, with a point as decimal sign; \
+        "`{0}` is not a number: samples are written like -12 or 0.5e-3, with a decimal comma only between tabs or ;: \
          choose other channels if this column holds no samples"
     )]
     NotANumber(String),
@@ -75,6 +71,30 @@ pub enum TableProblem {
         /// Columns of the file.
         columns: usize,
     },
+    /// Too few columns that look like EMG.
+    #[error(
+        "{wanted} channels of EMG are wanted, but {}: choose channels by name or number ({columns})",
+        looking_like_emg(*.found)
+    )]
+    TooFewMuscles {
+        /// Columns asked for.
+        wanted: usize,
+        /// How many look like them.
+        found: usize,
+        /// All columns, with what each looks like.
+        columns: String,
+    },
+    /// A column that is named like a muscle and rises like time.
+    #[error(
+        "column `{0}` is named like a muscle, but rises evenly, as time does: choose the channels by name or number"
+    )]
+    RisingMuscle(String),
+    /// Columns that were not sampled at the same rate.
+    #[error("{columns}: choose columns of one rate")]
+    RatesDiffer {
+        /// Two of them with their rates, in words.
+        columns: String,
+    },
     /// A chosen name that the header line does not hold.
     #[error("there is no channel named `{name}`: {}", available(.names))]
     MissingName {
@@ -89,6 +109,27 @@ pub enum TableProblem {
     /// One column chosen twice.
     #[error("channel {0} is chosen twice: choose each channel once")]
     ChosenTwice(usize),
+}
+
+/// A sampling rate in a message: to 6 digits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate(pub f64);
+
+impl Eq for Rate {}
+
+impl fmt::Display for Rate {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = format!("{:.3}", self.0);
+        out.write_str(text.trim_end_matches('0').trim_end_matches('.'))
+    }
+}
+
+fn looking_like_emg(columns: usize) -> String {
+    match columns {
+        0 => "no column looks like one".to_owned(),
+        1 => "1 column looks like one".to_owned(),
+        _ => format!("{columns} columns look like them"),
+    }
 }
 
 fn available(names: &[String]) -> String {

@@ -1,0 +1,467 @@
+//! What stands before the samples of a table: where they begin, and what the lines before them say.
+//!
+//! ```text
+//! %Sample Rate = 250 Hz            lines before the table: of any form, a sampling rate in them counts
+//! Time, EMG 1, EMG 2               the names: the last line of words with a cell for each column …
+//! s, mV, mV                        … but for units and rates, which may stand below them
+//! 0.000, -0.012, 0.044             the first line of numbers, and more like it
+//! ```
+//! A line belongs to the table if it has a number, and the line after it has as many cells, with numbers and words in the
+//! same places. A missing sample fits anywhere.
+
+use super::cells::{Cells, Line, Separator, is_missing_sample, line_at, number, text_start, without_quotes};
+use super::problem::{TableError, TableProblem, error_at};
+
+/// Longest beginning in which the first line of samples has to end, in bytes. What has no newline for so long is no table,
+/// and a file may be very large.
+pub(super) const LONGEST_HEAD: usize = 1 << 20;
+
+/// Most lines before the table.
+const MOST_LINES: usize = 1000;
+
+/// Lines of one form that make a table where words are as many as numbers.
+const RUN: usize = 3;
+
+/// The beginning of a table.
+#[derive(Clone, Debug)]
+pub(super) struct Head {
+    pub(super) separator: Separator,
+    pub(super) columns: usize,
+    /// The name of each column; empty where there is none. No names at all if no line has them.
+    pub(super) names: Vec<String>,
+    /// The unit of each column, as it stands there; empty where none is stated.
+    pub(super) units: Vec<String>,
+    /// Sampling rate of each column in Hz, where one is stated.
+    pub(super) rates_hz: Vec<Option<f64>>,
+    /// Where the first line of samples begins, in bytes.
+    pub(super) position: usize,
+    /// Lines before it.
+    pub(super) lines: u64,
+}
+
+/// What a cell holds, as far as the form of a line goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Form {
+    Number,
+    Word,
+    /// Nothing, or a word for a missing sample.
+    Missing,
+}
+
+/// A line of the beginning that is not blank.
+struct HeadLine<'text> {
+    content: &'text [u8],
+    /// Where it begins, in bytes.
+    start: usize,
+    /// Lines before it.
+    lines: u64,
+    separator: Separator,
+    forms: Vec<Form>,
+}
+
+impl HeadLine<'_> {
+    fn numbers(&self) -> usize {
+        self.count(Form::Number)
+    }
+
+    fn words(&self) -> usize {
+        self.count(Form::Word)
+    }
+
+    fn count(&self, form: Form) -> usize {
+        self.forms.iter().filter(|own| **own == form).count()
+    }
+
+    /// Whether the cells of both lines, as many here as there, hold the same kinds of things, numbers among them.
+    fn is_like(&self, other: &HeadLine<'_>) -> bool {
+        let both = self.forms.iter().zip(&other.forms);
+        self.has_as_many_cells(other)
+            && both.clone().any(|forms| forms == (&Form::Number, &Form::Number))
+            && self
+                .forms
+                .iter()
+                .zip(&other.forms)
+                .all(|(own, other)| own == other || *own == Form::Missing || *other == Form::Missing)
+    }
+
+    fn has_as_many_cells(&self, other: &HeadLine<'_>) -> bool {
+        self.separator == other.separator && self.forms.len() == other.forms.len()
+    }
+}
+
+impl Head {
+    /// Reads the beginning of `text`.
+    ///
+    /// # Errors
+    /// When there is no line of numbers, with the place where one should be.
+    pub(super) fn find(text: &[u8]) -> Result<Head, TableError> {
+        let lines = head_lines(text)?;
+        let Some(first) = first_of_table(&lines) else {
+            return Err(error_at(lines.last().map_or(1, |last| last.lines + 2), 1, TableProblem::Empty));
+        };
+        let (before, table) = lines.split_at(first);
+        let first = &table[0];
+        let columns = first.forms.len();
+        let mut head = Head {
+            separator: first.separator,
+            columns,
+            names: Vec::new(),
+            units: vec![String::new(); columns],
+            rates_hz: vec![None; columns],
+            position: first.start,
+            lines: first.lines,
+        };
+        let before = head.read_names(before, table);
+        head.read_preamble(before);
+        Ok(head)
+    }
+
+    /// Takes names, units and rates from the lines right before the table; gives the lines before these.
+    fn read_names<'lines, 'text>(
+        &mut self,
+        before: &'lines [HeadLine<'text>],
+        table: &[HeadLine<'text>],
+    ) -> &'lines [HeadLine<'text>] {
+        let mut left = before;
+        while let Some((line, others)) = left.split_last() {
+            let Some(cells) = self.cells_of_columns(line, table) else { return left };
+            left = others;
+            if !cells.iter().all(|cell| cell.is_empty() || is_unit_or_rate(cell)) {
+                for (column, name) in cells.iter().enumerate() {
+                    if let Some(bracketed) = in_brackets(name) {
+                        self.note(column, bracketed);
+                    }
+                }
+                self.names = cells;
+                return left;
+            }
+            for (column, cell) in cells.iter().enumerate() {
+                self.note(column, cell);
+            }
+        }
+        left
+    }
+
+    /// The cells of a line before the table, one for each column; `None` if it has more or fewer, or no word.
+    fn cells_of_columns(&self, line: &HeadLine<'_>, table: &[HeadLine<'_>]) -> Option<Vec<String>> {
+        let text = String::from_utf8_lossy(line.content);
+        let text = text.trim_matches(' ');
+        let unmarked = text.trim_start_matches(['#', '%']);
+        let has_word = |cells: &Vec<String>| {
+            cells.iter().any(|cell| {
+                !cell.is_empty()
+                    && number(cell.as_bytes(), true).is_none()
+                    && !is_missing_sample(cell.as_bytes())
+            })
+        };
+        let others = [b',', b'\t', b';'].map(Separator::Byte);
+        let separators = std::iter::once(self.separator).chain(others).chain([Separator::Blanks]);
+        // A line that is quoted as a whole is split within the quotes.
+        let inner = unmarked.strip_prefix('"').and_then(|inner| inner.strip_suffix('"'));
+        let texts = inner.filter(|inner| !inner.contains('"')).into_iter().chain([unmarked, text]);
+        for (text, separator) in
+            texts.flat_map(|text| separators.clone().map(move |separator| (text, separator)))
+        {
+            let mut cells = quoted_cells(text, separator);
+            while cells.len() > self.columns && cells.last().is_some_and(String::is_empty) {
+                cells.pop();
+            }
+            // The column of the rows' numbers often has no name.
+            if cells.len() + 1 == self.columns && self.columns > 2 && counts_rows(table) {
+                cells.insert(0, String::new());
+            }
+            if cells.len() == self.columns && has_word(&cells) {
+                return Some(cells);
+            }
+        }
+        None
+    }
+
+    /// Takes a unit or a rate of a column from a cell.
+    fn note(&mut self, column: usize, cell: &str) {
+        if let Some(rate_hz) = rate_of_cell(cell) {
+            self.rates_hz[column].get_or_insert(rate_hz);
+        } else if is_unit(cell) && self.units[column].is_empty() {
+            unbracketed(cell).clone_into(&mut self.units[column]);
+        }
+    }
+
+    /// Takes the sampling rate and the unit from the lines before the names: for all columns, or, if such a line names a
+    /// column, for that one.
+    fn read_preamble(&mut self, before: &[HeadLine<'_>]) {
+        let has_comma = self.separator != Separator::Byte(b',');
+        let mut of_all: (Vec<f64>, Vec<String>) = (Vec::new(), Vec::new());
+        for line in before {
+            let text = String::from_utf8_lossy(line.content);
+            let (rate_hz, unit) = (stated_rate(&text, has_comma), stated_unit(&text));
+            let label = labelled(&text);
+            match label.and_then(|label| self.names.iter().position(|name| name.eq_ignore_ascii_case(label)))
+            {
+                Some(column) => {
+                    self.rates_hz[column] = self.rates_hz[column].or(rate_hz);
+                    if let Some(unit) = unit.filter(|_| self.units[column].is_empty()) {
+                        self.units[column] = unit;
+                    }
+                }
+                None => {
+                    of_all.0.extend(rate_hz);
+                    of_all.1.extend(unit);
+                }
+            }
+        }
+        // Several that differ say nothing about any one column.
+        if let [rate_hz, others @ ..] = &of_all.0[..]
+            && others.iter().all(|other| other == rate_hz)
+        {
+            self.rates_hz.iter_mut().for_each(|own| *own = own.or(Some(*rate_hz)));
+        }
+        if let [unit, others @ ..] = &of_all.1[..]
+            && others.iter().all(|other| other == unit)
+        {
+            self.units.iter_mut().filter(|own| own.is_empty()).for_each(|own| own.clone_from(unit));
+        }
+    }
+}
+
+/// The lines of the beginning that are not blank, up to the first ones that are surely of the table.
+fn head_lines(text: &[u8]) -> Result<Vec<HeadLine<'_>>, TableError> {
+    let head = &text[..text.len().min(LONGEST_HEAD)];
+    let mut start = text_start(text);
+    if text[start..].trim_ascii().is_empty() {
+        return Err(error_at(1, 1, TableProblem::Empty));
+    }
+    let mut found: Vec<HeadLine<'_>> = Vec::new();
+    let mut lines = 0;
+    let mut alike = 0;
+    while let Some(Line { content, next, terminated }) = line_at(head, start) {
+        let is_cut_off = !terminated && text.len() > LONGEST_HEAD;
+        if is_cut_off || !is_printable(content) {
+            // What is wrong within the table shows when it is read.
+            if found.iter().any(|line| line.numbers() > 0) {
+                break;
+            }
+            return Err(error_at(lines + 1, 1, TableProblem::NotText));
+        }
+        if !content.trim_ascii().is_empty() {
+            let separator = Separator::of_line(content);
+            let forms = Cells::of(content, separator).map(|cell| form(cell, separator)).collect();
+            let line = HeadLine { content, start, lines, separator, forms };
+            let is_like_last = found.last().is_some_and(|last| line.is_like(last));
+            alike = if is_like_last && line.words() <= line.numbers() { alike + 1 } else { 0 };
+            found.push(line);
+        }
+        (start, lines) = (next, lines + 1);
+        if alike >= RUN || found.len() > MOST_LINES {
+            break;
+        }
+    }
+    Ok(found)
+}
+
+/// Whether a line is text in any encoding that has ASCII: units in a head are often not in UTF-8.
+fn is_printable(line: &[u8]) -> bool {
+    !line.iter().any(|byte| byte.is_ascii_control() && *byte != b'\t')
+}
+
+fn form(cell: &[u8], separator: Separator) -> Form {
+    match number(cell, separator != Separator::Byte(b',')) {
+        Some(value) if value.is_nan() => Form::Missing,
+        Some(_) => Form::Number,
+        None if cell.is_empty() || is_missing_sample(cell) => Form::Missing,
+        None => Form::Word,
+    }
+}
+
+/// The line with which the table begins.
+fn first_of_table(lines: &[HeadLine<'_>]) -> Option<usize> {
+    // How many lines from here on look alike, this one among them.
+    let run =
+        |index: usize| 1 + lines[index..].windows(2).take_while(|pair| pair[0].is_like(&pair[1])).count();
+    let reaches_end = |index: usize| index + run(index) == lines.len();
+    // Names, and numbers below them.
+    let is_headed = |index: usize| {
+        let is_below_names = index > 0 && lines[index - 1].numbers() == 0;
+        is_below_names && lines[index].numbers() > 0 && (run(index) >= 2 || reaches_end(index))
+    };
+    let begins = |index: usize| {
+        let (line, next) = (&lines[index], lines.get(index + 1));
+        match (line.numbers(), line.words()) {
+            (0, _) => false,
+            // What is wrong in the next line shows when it is read, unless there is a table further on.
+            (_, 0) => {
+                next.is_none_or(|next| line.has_as_many_cells(next) && next.numbers() > 0)
+                    || !(index + 1..lines.len()).any(is_headed)
+            }
+            (numbers, words) if numbers > words => next.is_some_and(|next| line.is_like(next)),
+            (numbers, words) => numbers == words && (run(index) >= RUN || reaches_end(index)),
+        }
+    };
+    let has_number = |index: &usize| lines[*index].numbers() > 0;
+    let mut with_number = (0..lines.len()).filter(has_number);
+    (0..lines.len())
+        .find(|index| begins(*index))
+        .or_else(|| with_number.clone().find(|index| reaches_end(*index)))
+        .or_else(|| with_number.next())
+}
+
+/// Whether the first column of a table has the numbers of the rows.
+fn counts_rows(table: &[HeadLine<'_>]) -> bool {
+    let row = |line: &HeadLine<'_>| {
+        let cell = Cells::of(line.content, line.separator).next()?;
+        number(without_quotes(cell), false)
+    };
+    let rows: Vec<f64> = table.iter().map_while(row).collect();
+    rows.len() >= 2 && rows.windows(2).all(|pair| pair[1] == pair[0] + 1.0)
+}
+
+/// The cells of a line of words, in which separators may stand within quotes.
+fn quoted_cells(line: &str, separator: Separator) -> Vec<String> {
+    let ends = |character: char| match separator {
+        Separator::Byte(byte) => character == char::from(byte),
+        Separator::Blanks => character.is_ascii_whitespace(),
+    };
+    let mut cells = vec![String::new()];
+    let mut is_quoted = false;
+    for character in line.trim_matches(' ').chars() {
+        match character {
+            '"' => is_quoted = !is_quoted,
+            _ if !is_quoted && ends(character) => {
+                let is_between_blanks =
+                    separator == Separator::Blanks && cells.last().is_some_and(String::is_empty);
+                if !is_between_blanks {
+                    cells.push(String::new());
+                }
+            }
+            _ => cells.last_mut().expect("one cell at least").push(character),
+        }
+    }
+    cells.iter().map(|cell| cell.trim().to_owned()).collect()
+}
+
+/// `(mV)` and `[mV]` without brackets.
+fn unbracketed(cell: &str) -> &str {
+    let cell = cell.trim();
+    let inner = |open: char, close: char| cell.strip_prefix(open).and_then(|cell| cell.strip_suffix(close));
+    inner('(', ')').or_else(|| inner('[', ']')).unwrap_or(cell).trim()
+}
+
+/// What stands in brackets at the end of a name, the brackets included.
+pub(super) fn in_brackets(name: &str) -> Option<&str> {
+    let name = name.trim_end();
+    let open = match name.chars().last()? {
+        ')' => '(',
+        ']' => '[',
+        _ => return None,
+    };
+    name.rfind(open).map(|start| &name[start..])
+}
+
+/// Units of what sensors measure, in lower case.
+const UNITS: [&str; 36] = [
+    "v",
+    "mv",
+    "uv",
+    "µv",
+    "μv",
+    "nv",
+    "volt",
+    "volts",
+    "millivolts",
+    "microvolts",
+    "s",
+    "sec",
+    "seconds",
+    "ms",
+    "us",
+    "µs",
+    "μs",
+    "ns",
+    "hz",
+    "g",
+    "m/s^2",
+    "m/s²",
+    "deg/s",
+    "dps",
+    "°/s",
+    "rad/s",
+    "deg",
+    "°",
+    "rad",
+    "ut",
+    "µt",
+    "n",
+    "nm",
+    "°c",
+    "counts",
+    "a.u.",
+];
+
+fn is_unit(cell: &str) -> bool {
+    let unit = unbracketed(cell).to_lowercase();
+    UNITS.contains(&unit.as_str())
+}
+
+fn is_unit_or_rate(cell: &str) -> bool {
+    is_unit(cell) || rate_of_cell(cell).is_some() || unbracketed(cell) == "-" || is_period(cell)
+}
+
+/// `0.000794 s`.
+fn is_period(cell: &str) -> bool {
+    let cell = unbracketed(cell);
+    let digits = cell.trim_end_matches(|character: char| character.is_alphabetic() || character == ' ');
+    digits.len() < cell.len() && number(digits.as_bytes(), true).is_some() && is_unit(&cell[digits.len()..])
+}
+
+/// The rate in a cell that holds nothing else: `1259.2593 Hz`, or `(1925.926)` behind a name.
+fn rate_of_cell(cell: &str) -> Option<f64> {
+    let text = unbracketed(cell);
+    let is_bracketed = text.len() < cell.trim().len();
+    let lower = text.to_ascii_lowercase();
+    let digits = match lower.strip_suffix("hz") {
+        Some(digits) => digits.trim_end(),
+        None if is_bracketed && lower.contains('.') => lower.as_str(),
+        None => return None,
+    };
+    number(digits.as_bytes(), true).filter(|hz| is_rate(*hz))
+}
+
+fn is_rate(hz: f64) -> bool {
+    hz.is_finite() && hz > 0.0 && hz < 1e7
+}
+
+/// The sampling rate that a line states in words: `Sample Rate = 250 Hz`, `Sampling frequency: 1925.926 Unit: V`.
+fn stated_rate(line: &str, has_decimal_comma: bool) -> Option<f64> {
+    let lower = line.to_ascii_lowercase();
+    let sampling = lower.find("sampl")?;
+    let after = &lower[sampling..];
+    let word = ["rate", "frequency", "freq"]
+        .iter()
+        .filter_map(|word| after.find(word).map(|at| at + word.len()))
+        .min()?;
+    let after = &after[word..];
+    let start = after.find(|character: char| character.is_ascii_digit())?;
+    let end = after[start..]
+        .find(|character: char| {
+            !(character.is_ascii_digit() || character == '.' || (has_decimal_comma && character == ','))
+        })
+        .map_or(after.len(), |length| start + length);
+    let factor = if after[end..].trim_start().starts_with("khz") { 1000.0 } else { 1.0 };
+    let digits = after[start..end].trim_end_matches(['.', ',']);
+    number(digits.as_bytes(), has_decimal_comma).map(|rate| rate * factor).filter(|hz| is_rate(*hz))
+}
+
+/// The unit that a line states in words: `Unit: V`.
+fn stated_unit(line: &str) -> Option<String> {
+    let at = line.to_ascii_lowercase().find("unit")?;
+    let after = line[at..].trim_start_matches(|character: char| character.is_ascii_alphabetic());
+    let after = after.trim_start_matches([':', '=', ',', ';', ' ', '\t']);
+    let unit = after.split([' ', '\t', ',', ';']).next()?;
+    is_unit(unit).then(|| unbracketed(unit).to_owned())
+}
+
+/// The column that a line before the table is about: `Label: EMG1  Sampling frequency: …`.
+fn labelled(line: &str) -> Option<&str> {
+    let label = line.strip_prefix("Label:")?.trim_start();
+    let end = label.find("  ").or_else(|| label.find('\t')).or_else(|| label.find(" Sampling"));
+    Some(label[..end.unwrap_or(label.len())].trim())
+}
