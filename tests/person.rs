@@ -65,7 +65,7 @@ fn a_session_that_adapts_leaves_the_person_as_it_was_and_is_replayed_and_deleted
     let file = data.join("tendon/people/adele/person.toml");
     let before = std::fs::read(&file).unwrap();
     let sessions = data.join("tendon/sessions");
-    let run = |replay: &Path, record: &Path, arguments: &[&str]| {
+    let run = |replay: &Path, arguments: &[&str]| {
         let session = unique_session();
         TendonBuilder::command(&session, &["run", "--session", &session.to_string()])
             .env("XDG_DATA_HOME", data)
@@ -73,20 +73,19 @@ fn a_session_that_adapts_leaves_the_person_as_it_was_and_is_replayed_and_deleted
             .args(arguments)
             .arg("--replay")
             .arg(replay)
-            .arg("--record")
-            .arg(record)
-            .end()
     };
     let adapting = ["--person", name, "--set", "inference.adaptation=slow"];
-    let report = run(&data.join(EMG), &sessions, &adapting).report();
+    let report = run(&data.join(EMG), &adapting).end().report();
     assert_eq!(report.allocations["inference"], 0);
     let recognition = &report.recognition;
     assert!(recognition.windows > 400, "{recognition:?}");
     assert!(recognition.correct as f64 > 0.95 * recognition.windows as f64, "{recognition:?}");
     assert_eq!(std::fs::read(&file).unwrap(), before);
 
-    let [recorded, replays] = [&report.recordings[0].path, &data.join("replays")];
-    let replayed = run(recorded, replays, &[]).report();
+    let recorded = run(&data.join(EMG), &adapting).arg("--record").arg(&sessions).end().report();
+    let recorded = &recorded.recordings[0].path;
+    let replays = &data.join("replays");
+    let replayed = run(recorded, &[]).arg("--record").arg(replays).end().report();
     let replayed = &replayed.recordings[0].path;
     let compared = tendon(data, &["compare"]).arg(recorded).arg(replayed).end();
     assert_eq!(compared.exit_code, Some(0), "{compared:#?}");

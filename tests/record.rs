@@ -192,7 +192,8 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     assert!(messages.iter().filter(|message| matches!(message, Message::Block(_))).count() > 100);
     let file = file_in(folder.path()).unwrap();
     let export = |tables: &Path, arguments: &[&str]| {
-        let export = TendonBuilder::command(&name, &["export"]).arg(&file).arg("--csv").arg(tables);
+        let export =
+            TendonBuilder::command(&unique_session(), &["export"]).arg(&file).arg("--csv").arg(tables);
         export.args(arguments).end()
     };
     let exports = tempfile::tempdir().unwrap();

@@ -11,7 +11,9 @@ use tendon_messages::{PREDICTIONS, WINDOWS};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
 use tendon_report::Report;
-use tendon_system_tests::recordings::{MOVEMENT, REST, Stretch, real_three_dc, write_table, write_three_dc};
+use tendon_system_tests::recordings::{
+    MOVEMENT, REST, Stretch, real_three_dc, write_edf, write_table, write_three_dc,
+};
 use tendon_system_tests::{
     StageAlone, TendonBuilder, assert_nothing_left, model, repository, unique_session, wait_until,
 };
@@ -98,6 +100,21 @@ fn at_full_speed_two_replays_of_a_recording_with_cues_are_the_same() {
     let at_rest = folder.path().join("rest.csv");
     write_table(&at_rest, &[Stretch { samples: 4000, amplitudes: REST }]);
     assert_ne!(first.final_position_mm, replay_at_full_speed(&at_rest, &CSV).final_position_mm);
+}
+
+#[test]
+fn an_edf_file_with_a_gap_is_replayed_at_the_rate_of_the_session_with_its_own_cues() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("delsys.edf");
+    write_edf(&path);
+    let report = replay_at_full_speed(&path, &[]);
+    // Twice 5772 samples at 1925.926 Hz, of which each 27 / 26 remain: 599 blocks, from each of which windows are cut anew.
+    assert_complete(&report, 2 * 599, 2 * windows_of(5990));
+    // Half a second, and what fills no block before it.
+    assert!((1000..1010).contains(&report.lost_samples), "{report:#?}");
+    assert!(report.recognition.windows > 60, "{report:#?}");
+    let columns = "columns EMG 1, EMG 2, EMG 3, EMG 4, in uV";
+    assert!(report.source.contains("at 1925.926 Hz") && report.source.contains(columns), "{report:#?}");
 }
 
 #[test]

@@ -93,6 +93,55 @@ pub fn write_three_dc(folder: &Path) {
     }
 }
 
+/// Writes an EDF+D file of four channels in uV at 1925.926 Hz: 3 s with the annotation rest, half a second that is missing, and
+/// 3 s with the annotation extension.
+pub fn write_edf(path: &Path) {
+    const SAMPLES: usize = 26;
+    const RECORD_S: f64 = 0.0135;
+    const TEXT_BYTES: usize = 60;
+    let records = 2 * (3.0 / RECORD_S) as usize;
+    let heads = CHANNELS + 1;
+    let mut bytes =
+        format!("{:<184}{:<8}{:<44}{records:<8}{RECORD_S:<8}{heads:<4}", 0, 256 * (heads + 1), "EDF+D")
+            .into_bytes();
+    for (of_channel, of_text, width) in [
+        ("EMG", "EDF Annotations", 16),
+        ("", "", 80),
+        ("uV", "", 8),
+        ("-3276.8", "-1", 8),
+        ("3276.7", "1", 8),
+        ("-32768", "-32768", 8),
+        ("32767", "32767", 8),
+        ("", "", 80),
+        (&SAMPLES.to_string(), &(TEXT_BYTES / 2).to_string(), 8),
+        ("", "", 32),
+    ] {
+        for channel in 1..=CHANNELS {
+            let value = if of_channel == "EMG" { format!("EMG {channel}") } else { of_channel.to_owned() };
+            bytes.extend(format!("{value:<width$}").bytes());
+        }
+        bytes.extend(format!("{of_text:<width$}").bytes());
+    }
+    let mut emg = PseudoEmg::default();
+    for record in 0..records {
+        let is_second_half = record >= records / 2;
+        let amplitudes = if is_second_half { [60.0, 60.0, 400.0, 60.0] } else { REST };
+        let frames: Vec<_> = (0..SAMPLES).map(|_| emg.frame(amplitudes)).collect();
+        for channel in 0..CHANNELS {
+            bytes.extend(frames.iter().flat_map(|frame| ((10.0 * frame[channel]) as i16).to_le_bytes()));
+        }
+        let start_s = record as f64 * RECORD_S + if is_second_half { 0.5 } else { 0.0 };
+        let mut text = format!("+{start_s:.4}\x14\x14\0");
+        if record % (records / 2) == 0 {
+            let gesture = if is_second_half { "extension" } else { "rest" };
+            text += &format!("+{start_s:.4}\x153\x14{gesture}\x14\0");
+        }
+        text += &"\0".repeat(TEXT_BYTES - text.len());
+        bytes.extend(text.bytes());
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
 /// The EMG folder of one person of the real 3DC recordings: below `TENDON_SHARED`, else in the folder
 /// `shared` beside the project. `None`, and a word about it, when there are none.
 pub fn real_three_dc() -> Option<PathBuf> {

@@ -101,7 +101,8 @@ impl Base {
 #[derive(Clone, Debug, Default, Args)]
 pub struct RecordingOptions {
     /// Channels of the recordings in this order, by number from 0 or by the name that the recordings give them [default: those
-    /// that the model or person names; else all of what Tendon recorded and of tables with at most four, otherwise 0,3,5,8].
+    /// that the model or person names; else all of what Tendon recorded, of your own recordings the first that look like EMG, of
+    /// 3DC 0,3,5,8].
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = named_channel)]
     pub channels: Vec<Channel>,
     /// Sampling rate of recordings that do not state it, Hz.

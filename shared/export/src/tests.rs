@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 use tendon_messages::{Permission, STAGE_COUNT, Stage, StopReason, Truth};
-use tendon_recordings::{Channel, RecordingSettings, RecordingSource};
+use tendon_recordings::{Channel, RecordingSettings, RecordingSource, Signals};
 use tendon_session_file::{
     Block, CONFIGURATION, CommandRecord, ContextRecord, Cue, Event, EventKind, Message, Number, PERSON,
     PredictionRecord, StateRecord, TASK, TraceRecord, Writer,
@@ -462,4 +462,32 @@ fn streams_are_on_one_clock() {
     assert!(
         contains(b"\x04rest") && contains(b"cue extension") && contains(b"arm is stopped: stopped by order")
     );
+}
+
+#[test]
+fn what_is_exported_is_read_again_with_its_gaps_and_cues() {
+    let (folder, path) = eventful().file();
+    let survey = survey(&path);
+    let bdf =
+        write_bids(&survey, &BidsFacts::default(), &folder.path().join("study"), false, |_| ()).unwrap();
+    let xdf = folder.path().join("session.xdf");
+    write_xdf(&survey, &mut std::fs::File::create(&xdf).unwrap(), |_| ()).unwrap();
+    let read = |file: &Path| Signals::read(file, &["a, \"b\"".into(), "flexor".into()]).unwrap();
+    let [bdf, xdf] = [read(&bdf), read(&xdf)];
+    // Rows 0 to 39, 40 to 59 behind 30 lost ones, and 30 more of a source that began anew a second later.
+    let numbers: Vec<u64> = (0..40).chain(70..90).chain(0..30).collect();
+    for (column, channel) in xdf.columns.iter().zip([2, 0]) {
+        assert!(column.iter().copied().eq(numbers.iter().map(|number| Session::value(channel, *number))));
+    }
+    let gaps: Vec<(u64, u64)> = xdf.gaps.iter().map(|gap| (gap.before_sample, gap.lost_samples)).collect();
+    assert_eq!(gaps, [(40, 30), (60, 2000)]);
+    let cues: Vec<(&str, u64)> = xdf.cues.iter().map(|cue| (cue.gesture.name(), cue.start_sample)).collect();
+    assert_eq!(cues, [("rest", 0), ("extension", 20), ("rest", 60)]);
+    assert_eq!((xdf.unit.as_str(), xdf.sample_rate_hz, xdf.notices.len()), ("uV", RATE_HZ, 0));
+    // Records of one length may fill a gap, but nothing is lost or moved.
+    let step = 3000.0 / 16_777_215.0;
+    let is_near = |(read, written): (&f32, &f32)| (read - written).abs() <= step;
+    assert!(bdf.columns[0][..40].iter().zip(&xdf.columns[0][..40]).all(is_near));
+    assert_eq!((bdf.gaps.len(), bdf.unit.as_str(), bdf.sample_rate_hz), (1, "uV", RATE_HZ));
+    assert!(bdf.cues.iter().map(|cue| cue.gesture.name()).eq(["rest", "extension", "rest"]));
 }

@@ -60,7 +60,7 @@ pub fn read(path: &Path, bytes: &[u8], channels: &[Channel]) -> Result<Signals, 
     let names: Vec<String> = of_rate.iter().map(|signal| signal.label.clone()).collect();
     let chosen = choose(channels, &names)?;
     let samples_of_record = of_rate[0].samples_of_record;
-    let sample_rate_hz = samples_of_record as f64 / head.record_s;
+    let sample_rate_hz = rate_hz(samples_of_record, head.record_s);
     let unit = chosen.first().map_or_else(String::new, |first| of_rate[*first].unit.clone());
     let timeline = Timeline::read(&head, bytes, samples_of_record, sample_rate_hz)?;
     let columns = chosen.iter().map(|number| head.column(bytes, of_rate[*number], &unit)).collect();
@@ -320,6 +320,13 @@ fn annotations_of(bytes: &[u8]) -> impl Iterator<Item = Annotation> {
     })
 }
 
+/// Samples of a record to a rate: 35 in 0.0175 s are 2000 Hz, which a division misses by a digit.
+fn rate_hz(samples_of_record: usize, record_s: f64) -> f64 {
+    let rate_hz = samples_of_record as f64 / record_s;
+    let whole_hz = rate_hz.round();
+    if (rate_hz / whole_hz - 1.0).abs() < 1e-12 { whole_hz } else { rate_hz }
+}
+
 /// A field without the blanks around it. Others than ASCII stand in files all the same, as UTF-8 or Latin 1.
 fn text(bytes: &[u8]) -> String {
     match std::str::from_utf8(bytes) {
@@ -487,6 +494,12 @@ mod tests {
         let mut open = whole[..whole.len() - 200].to_vec();
         open[236..244].copy_from_slice(b"-1      ");
         assert_eq!(missing(&open), (200, message("")));
+    }
+
+    #[test]
+    fn a_whole_rate_is_whole() {
+        assert_eq!([rate_hz(35, 0.0175), rate_hz(2000, 1.0), rate_hz(1, 0.001)], [2000.0, 2000.0, 1000.0]);
+        assert!((rate_hz(26, 0.0135) - 52_000.0 / 27.0).abs() < 1e-9);
     }
 
     #[test]

@@ -236,9 +236,10 @@ pub(crate) fn choose(channels: &[Channel], names: &[String]) -> Result<Vec<usize
     Ok(chosen)
 }
 
-/// The gesture that an annotation or marker names. Of numbers, 0 is rest.
+/// The gesture that an annotation or marker names, as `grip` or `cue grip`. Of numbers, 0 is rest.
 pub(crate) fn gesture_of(text: &str) -> Option<Gesture> {
     let text = text.trim().to_ascii_lowercase();
+    let text = text.strip_prefix("cue ").unwrap_or(&text);
     match text.parse::<u32>() {
         Ok(0) => Some(Gesture::REST),
         Ok(number) => format!("gesture-{number}").parse().ok(),
@@ -287,6 +288,7 @@ mod tests {
     fn only_what_names_a_gesture_is_a_cue() {
         let name = |text: &str| gesture_of(text).map(|gesture| gesture.name().to_owned());
         assert_eq!(name(" Fist "), Some("fist".to_owned()));
+        assert_eq!(name("cue grip"), Some("grip".to_owned()));
         assert_eq!(name("0"), Some("rest".to_owned()));
         assert_eq!(name("12"), Some("gesture-12".to_owned()));
         assert_eq!((name("Recording paused"), name("gesture grip"), name("")), (None, None, None));

@@ -10,8 +10,8 @@
 //! + offsets  ────────────        of another clock, as a straight line that outliers do not bend
 //! ```
 //! One stream is read: that of the channel `STREAM: CHANNEL` chosen first, else the only one of type EMG, or the only one of EEG or
-//! EXG, or the only one with a rate. Markers that name gestures are cues. Layout: [the XDF
-//! specification](https://github.com/sccn/xdf/wiki/Specifications).
+//! EXG, or the only one with a rate. Texts that name gestures, of streams of the type Markers, Events or Stimuli, are cues.
+//! Layout: [the XDF specification](https://github.com/sccn/xdf/wiki/Specifications).
 
 mod chunks;
 mod clock;
@@ -45,21 +45,27 @@ pub fn read(path: &Path, bytes: &[u8], channels: &[Channel]) -> Result<Signals, 
         .map(|number| unit_factor(&stream.channels[*number].unit, &unit).unwrap_or(1.0))
         .collect();
 
-    let Samples { mut columns, stamps_s, is_damaged } = stream.samples(&contents, &chosen);
+    let Samples { mut columns, stamps, is_damaged } = stream.samples(&contents, &chosen);
+    let stamps_s = &stamps.times_s;
     if stamps_s.is_empty() {
         return Err(SignalsError::Empty("the stream was announced, but gave none"));
     }
     for (column, factor) in columns.iter_mut().zip(factors) {
         column.iter_mut().for_each(|value| *value = (f64::from(*value) * factor) as f32);
     }
-    let stretches =
-        stretches(&stamps_s, stream.rate_hz, stream.can_drop_samples, &Clock::of(stream, &contents));
+    let stretches = stretches(
+        stamps_s,
+        &stamps.own,
+        stream.rate_hz,
+        stream.can_drop_samples,
+        &Clock::of(stream, &contents),
+    );
     let sample_rate_hz = true_rate(stream.rate_hz, &stretches);
     let gaps = gaps(&stretches, sample_rate_hz);
     let mut cues: Vec<Cue> = contents
         .streams
         .iter()
-        .filter(|markers| markers.is_text())
+        .filter(|stream| stream.is_of_markers())
         .flat_map(|markers| cues(markers, &contents, &stretches, stamps_s.len() as u64))
         .collect();
     cues.sort_by_key(|cue| cue.start_sample);
@@ -320,6 +326,20 @@ mod tests {
         };
         let says = "<synchronization><can_drop_samples>true</can_drop_samples></synchronization>";
         assert_eq!(gaps(says), [Gap { before_sample: 100, lost_samples: 30 }]);
+        // But what may be jitter is none, where there is enough to tell.
+        let gaps_of = |late_s: f64| {
+            let jitter_s = |chunk: usize| (chunk * 7 % 5) as f64 * 2e-3;
+            let chunk = |chunk: usize| {
+                let late_s = if chunk >= 20 { late_s } else { 0.0 };
+                samples(1, chunk as f64 * 0.2 + jitter_s(chunk) + late_s, &[0.0; 20])
+            };
+            let chunks: Vec<Vec<u8>> = (0..40).map(chunk).collect();
+            open(&file(&[head(1, "A", "EMG", 100.0, "float32", says), chunks.concat()]), &[0.into()])
+                .unwrap()
+                .gaps
+        };
+        assert_eq!(gaps_of(0.02), []);
+        assert_eq!(gaps_of(0.2), [Gap { before_sample: 400, lost_samples: 20 }]);
         assert_eq!(gaps(""), []);
     }
 

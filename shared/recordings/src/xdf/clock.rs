@@ -70,21 +70,29 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Divides samples where their stamps jump, and lays a straight line through the stamps of each part: the jitter of the network
-/// and of the sender's computer is none of the device's.
+/// and of the sender's computer is none of the device's. `stamped` are the samples with a stamp of their own.
 pub(super) fn stretches(
     stamps_s: &[f64],
+    stamped: &[usize],
     rate_hz: f64,
     can_drop_samples: bool,
     clock: &Clock,
 ) -> Vec<Stretch> {
-    // As pyxdf: jumps of a second, and of 500 samples. A stream that says that it loses samples means shorter ones, too.
-    let least_jump_s = if can_drop_samples { 0.1 } else { f64::max(1.0, 500.0 / rate_hz) };
     let period_s = 1.0 / rate_hz;
+    let jump_s = |sample: usize| (stamps_s[sample] - stamps_s[sample - 1] - period_s).abs();
+    // As pyxdf: jumps of a second, and of 500 samples. A stream that says that it loses samples means shorter ones, too.
+    let mut least_jump_s = f64::max(1.0, 500.0 / rate_hz);
+    if can_drop_samples {
+        const ENOUGH_STAMPS: usize = 10;
+        let is_known = stamped.len() >= ENOUGH_STAMPS;
+        let jitter_s =
+            median(stamped.iter().filter(|sample| **sample > 0 && is_known).map(|sample| jump_s(*sample)));
+        least_jump_s = least_jump_s.min((10.0 * jitter_s).max(0.5 * period_s));
+    }
     let mut stretches = Vec::new();
     let mut first = 0;
     for end in 1..=stamps_s.len() {
-        let follows_on =
-            end < stamps_s.len() && (stamps_s[end] - stamps_s[end - 1] - period_s).abs() <= least_jump_s;
+        let follows_on = end < stamps_s.len() && jump_s(end) <= least_jump_s;
         if !follows_on {
             stretches.push(line(&stamps_s[first..end], first, period_s, clock));
             first = end;
@@ -142,7 +150,7 @@ mod tests {
         let mut stamps_s: Vec<f64> = (0..2000).map(|number| number as f64 * 0.01 + jitter(number)).collect();
         stamps_s.extend((0..500).map(|number| 30.0 + number as f64 * 0.01 + jitter(number)));
         let clock = Clock::through(Vec::new());
-        let found = stretches(&stamps_s, 100.0, false, &clock);
+        let found = stretches(&stamps_s, &[0], 100.0, false, &clock);
         assert_eq!(
             found.iter().map(|stretch| (stretch.first_sample, stretch.samples)).collect::<Vec<_>>(),
             [(0, 2000), (2000, 500)]

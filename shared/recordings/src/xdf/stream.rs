@@ -42,10 +42,18 @@ enum Format {
 pub(super) struct Samples {
     /// Of the chosen channels.
     pub(super) columns: Vec<Vec<f32>>,
-    /// Of each sample, by the stream's own clock.
-    pub(super) stamps_s: Vec<f64>,
+    pub(super) stamps: Stamps,
     /// A chunk of them could not be read to its end.
     pub(super) is_damaged: bool,
+}
+
+/// When samples were taken, by the stream's own clock.
+#[derive(Default)]
+pub(super) struct Stamps {
+    /// Of each sample, in s.
+    pub(super) times_s: Vec<f64>,
+    /// The samples that have one of their own; the others follow on.
+    pub(super) own: Vec<usize>,
 }
 
 /// More channels than any device has.
@@ -106,6 +114,12 @@ impl Stream {
         self.format == Format::Text
     }
 
+    /// Whether its texts say what happens. Others may be results, such as decisions.
+    pub(super) fn is_of_markers(&self) -> bool {
+        let content_type = self.content_type.to_ascii_lowercase();
+        self.is_text() && ["marker", "event", "stim"].iter().any(|kind| content_type.starts_with(kind))
+    }
+
     /// The channel that `STREAM: CHANNEL` means, if it is of this stream.
     pub(super) fn own_channel<'a>(&self, name: &'a str) -> Option<&'a str> {
         name.strip_prefix(self.name.as_str())?.strip_prefix(": ").filter(|_| !self.name.is_empty())
@@ -114,10 +128,10 @@ impl Stream {
     /// All samples of the chosen channels.
     pub(super) fn samples(&self, contents: &Contents<'_>, chosen: &[usize]) -> Samples {
         let mut samples =
-            Samples { columns: vec![Vec::new(); chosen.len()], stamps_s: Vec::new(), is_damaged: false };
+            Samples { columns: vec![Vec::new(); chosen.len()], stamps: Stamps::default(), is_damaged: false };
         let size = self.format.size();
         for chunk in self.chunks(contents) {
-            let read = self.read_chunk(chunk, &mut samples.stamps_s, |mut rest| {
+            let read = self.read_chunk(chunk, &mut samples.stamps, |mut rest| {
                 let (values, after) = rest.split_at_checked(size * self.channels.len())?;
                 rest = after;
                 for (column, channel) in samples.columns.iter_mut().zip(chosen) {
@@ -132,11 +146,11 @@ impl Stream {
 
     /// All texts of its first channel, with their stamps.
     pub(super) fn texts(&self, contents: &Contents<'_>) -> Vec<(f64, String)> {
-        let mut stamps_s = Vec::new();
+        let mut stamps = Stamps::default();
         let mut texts = Vec::new();
         for chunk in self.chunks(contents) {
             // What is read of a damaged chunk is right.
-            let _ = self.read_chunk(chunk, &mut stamps_s, |mut rest| {
+            let _ = self.read_chunk(chunk, &mut stamps, |mut rest| {
                 for channel in 0..self.channels.len() {
                     let (bytes, after) = length(rest)?;
                     let (text, after) = after.split_at_checked(bytes)?;
@@ -147,9 +161,9 @@ impl Stream {
                 }
                 Some(rest)
             });
-            texts.truncate(stamps_s.len());
+            texts.truncate(stamps.times_s.len());
         }
-        stamps_s.into_iter().zip(texts).collect()
+        stamps.times_s.into_iter().zip(texts).collect()
     }
 
     fn chunks<'a>(&self, contents: &Contents<'a>) -> impl Iterator<Item = &'a [u8]> {
@@ -161,7 +175,7 @@ impl Stream {
     fn read_chunk<'a>(
         &self,
         chunk: &'a [u8],
-        stamps_s: &mut Vec<f64>,
+        stamps: &mut Stamps,
         mut read_values: impl FnMut(&'a [u8]) -> Option<&'a [u8]>,
     ) -> Option<()> {
         let period_s = if self.rate_hz > 0.0 { 1.0 / self.rate_hz } else { 0.0 };
@@ -169,7 +183,7 @@ impl Stream {
         for _ in 0..count {
             let (has_stamp, after) = rest.split_first()?;
             let (stamp_s, after) = match has_stamp {
-                0 => (stamps_s.last().map_or(0.0, |last| last + period_s), after),
+                0 => (stamps.times_s.last().map_or(0.0, |last| last + period_s), after),
                 8 => after.split_first_chunk().map(|(stamp, after)| (f64::from_le_bytes(*stamp), after))?,
                 _ => return None,
             };
@@ -177,7 +191,10 @@ impl Stream {
                 return None;
             }
             rest = read_values(after)?;
-            stamps_s.push(stamp_s);
+            if *has_stamp != 0 {
+                stamps.own.push(stamps.times_s.len());
+            }
+            stamps.times_s.push(stamp_s);
         }
         Some(())
     }

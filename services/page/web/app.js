@@ -1,0 +1,141 @@
+// The page of a session.
+//
+//   server ─▶ Connection ─▶ newest state, frames ─▶ at the next frame of the screen: traces, recognition, arm, large line
+//   buttons, space bar ─▶ Orders ─▶ Connection ─▶ server
+//
+// Messages are only kept when they come; everything is drawn at most once for each frame of the screen. A tab that nobody
+// sees therefore draws nothing, and shows the newest values when it is seen again.
+
+import { ArmView } from "./arm.js";
+import { Connection } from "./connection.js";
+import { Latency } from "./latency.js";
+import { Orders } from "./orders.js";
+import { readColours } from "./paint.js";
+import { loadHands, Recognition } from "./recognition.js";
+import { SessionFacts } from "./session.js";
+import { standing } from "./state.js";
+import { chooseLanguage, language, languages, loadTexts, show, text } from "./texts.js";
+import { Traces } from "./traces.js";
+
+const byId = (id) => document.getElementById(id);
+
+await Promise.all([loadTexts(), loadHands()]);
+readColours();
+
+let hello = null;
+let state = null;
+let isStateNew = false;
+let isScheduled = false;
+let spoken = "";
+let spokenMs = -Infinity;
+
+function redraw() {
+  if (isScheduled) return;
+  isScheduled = true;
+  requestAnimationFrame(draw);
+}
+
+const traces = new Traces(redraw);
+const recognition = new Recognition();
+const arm = new ArmView(redraw);
+const latency = new Latency();
+const session = new SessionFacts();
+
+const connection = new Connection({
+  hello(newHello) {
+    hello = newHello;
+    state = null;
+    document.title = `${hello.session} · Tendon`;
+    for (const part of [traces, recognition, arm, latency, orders, session]) part.setUp(hello);
+    redraw();
+  },
+  state(newState) {
+    state = newState;
+    isStateNew = true;
+    orders.showState(state);
+    redraw();
+  },
+  frame(frame) {
+    const newBins = traces.take(frame);
+    latency.await(frame.capturedMs, newBins, traces.binMs);
+    redraw();
+  },
+  latency: (newLatency) => latency.showLatency(newLatency),
+  answer: (answer) => orders.takeAnswer(answer),
+  away(why) {
+    // Old values are never shown as live ones.
+    document.body.classList.toggle("is-away", why !== null);
+    for (const values of document.querySelectorAll("main section:not(#session), #session-facts"))
+      values.inert = why !== null;
+    orders.lookAway(why);
+    if (why === null) return;
+    isStateNew = false;
+    latency.lookAway();
+    showAway(why);
+  },
+});
+const orders = new Orders(connection);
+const afterPaint = new MessageChannel();
+afterPaint.port1.onmessage = () => latency.painted();
+
+function draw() {
+  isScheduled = false;
+  if (isStateNew && hello !== null && connection.why === null) {
+    isStateNew = false;
+    showStanding(standing(hello, state));
+    for (const part of [traces, recognition, arm, latency, session]) part.showState(state);
+  }
+  traces.draw();
+  arm.draw();
+  // The next task runs when this frame has been handed to the screen.
+  afterPaint.port2.postMessage(null);
+}
+
+function showAway(why) {
+  showStanding({ tone: "away", title: text(`away.${why}`), detail: text(`away.${why}-detail`) });
+}
+
+function showStanding({ tone, title, detail }) {
+  byId("standing").dataset.tone = tone;
+  show(byId("standing-title"), title);
+  show(byId("standing-detail"), detail);
+  // Screen readers hear why the arm does not follow at once, and gestures no more than every 2 s.
+  const words = tone === "go" ? title.replace(/ · [\d.,]+$/, "") : `${title}. ${detail}`;
+  const nowMs = performance.now();
+  if (words === spoken || (tone === "go" && nowMs - spokenMs < 2000)) return;
+  spoken = words;
+  spokenMs = nowMs;
+  show(byId("spoken"), words);
+}
+
+function chooseAgain(tag) {
+  chooseLanguage(tag);
+  for (const button of byId("languages").children) {
+    button.setAttribute("aria-pressed", String(button.dataset.tag === language));
+  }
+  isStateNew = state !== null && connection.why === null;
+  if (connection.why) showAway(connection.why);
+  session.refresh();
+  orders.refresh();
+  redraw();
+}
+
+// Buttons and no list: an open list would take the space bar for itself, which has to stop the arm.
+for (const [tag, name] of languages()) {
+  const button = byId("languages").appendChild(document.createElement("button"));
+  button.type = "button";
+  button.lang = button.dataset.tag = tag;
+  button.textContent = name;
+  button.addEventListener("click", () => chooseAgain(tag));
+}
+chooseAgain(language);
+
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  readColours();
+  redraw();
+});
+document.addEventListener("visibilitychange", () => latency.lookAway());
+// The token is the address's fragment: another token is another page.
+window.addEventListener("hashchange", () => location.reload());
+setInterval(() => latency.showMuscleToPixel(connection.clockOffsetMs()), 1000);
+connection.begin();

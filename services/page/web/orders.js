@@ -1,0 +1,144 @@
+// STOP and Arm. A button says "asked" when it was pressed and "stopped" only when the arm's state says so.
+
+import { show, text } from "./texts.js";
+
+/** An order that the arm's state does not confirm within this time is said to be unconfirmed. */
+const CONFIRMED_WITHIN_MS = 700;
+/** How long what became of an order is shown. */
+const OUTCOME_MS = 6000;
+
+export class Orders {
+  constructor(connection) {
+    this.connection = connection;
+    this.next = 1;
+    this.asked = new Map();
+    this.rights = null;
+    this.state = null;
+    this.stop = document.getElementById("stop");
+    this.arm = document.getElementById("arm");
+    this.outcome = document.getElementById("order-outcome");
+    this.listen();
+    this.refresh();
+  }
+
+  listen() {
+    // A finger that goes down counts, not one that comes up; the click that follows it is the same press.
+    let pressedMs = -Infinity;
+    this.stop.addEventListener("pointerdown", () => {
+      pressedMs = performance.now();
+      this.give("stop");
+    });
+    this.stop.addEventListener("click", () => {
+      if (performance.now() - pressedMs > 1000) this.give("stop");
+      pressedMs = -Infinity;
+    });
+    this.arm.addEventListener("click", () => {
+      if (this.canArm) this.give("arm");
+    });
+    // The space bar stops whatever has the focus, ahead of everything else that would take it.
+    const isSpace = (event) => event.code === "Space" || event.key === " ";
+    window.addEventListener(
+      "keydown",
+      (event) => {
+        if (!isSpace(event)) return;
+        event.preventDefault();
+        event.stopImmediatePropagation();
+        if (!event.repeat) this.give("stop");
+      },
+      true,
+    );
+    window.addEventListener(
+      "keyup",
+      (event) => {
+        if (isSpace(event)) event.preventDefault();
+      },
+      true,
+    );
+  }
+
+  setUp(hello) {
+    this.rights = hello.rights;
+    this.refresh();
+  }
+
+  give(what) {
+    if (this.rights === "watch") {
+      this.tell("only-watches", "bad");
+      return;
+    }
+    const id = this.next;
+    this.next += 1;
+    // A session that is silent may still hear: only STOP is tried then.
+    const isHeard = this.connection.why === null || what === "stop";
+    if (!isHeard || !this.connection.send({ order: { id, what } })) {
+      this.tell(what === "stop" ? "stop-not-sent" : "arm-not-sent", "bad");
+      return;
+    }
+    const asked = { id };
+    this.asked.set(what, asked);
+    this.tell(`${what}-asked`, "wait");
+    setTimeout(() => {
+      if (this.asked.get(what) !== asked) return;
+      this.asked.delete(what);
+      this.tell(what === "stop" ? "stop-not-confirmed" : "arm-not-confirmed", "bad");
+      this.refresh();
+    }, CONFIRMED_WITHIN_MS);
+    this.refresh();
+  }
+
+  /** The server's answer: only a refusal is news, since the state confirms what was done. */
+  takeAnswer({ id, order, ok, text: words }) {
+    const asked = this.asked.get(order);
+    if (ok || asked?.id !== id) return;
+    this.asked.delete(order);
+    this.tell("order-refused", "bad", { words });
+    this.refresh();
+  }
+
+  showState(state) {
+    this.state = state;
+    const isStopped = state.permission === "stopped";
+    if (isStopped && this.asked.delete("stop")) this.tell("stop-confirmed", "good");
+    if (!isStopped && this.asked.delete("arm")) this.tell("arm-confirmed", "good");
+    this.refresh();
+  }
+
+  /** Values have stopped, with a reason, or come again: no order of a connection that is gone is confirmed by the next. */
+  lookAway(why) {
+    if (why !== null) this.state = null;
+    for (const what of [...this.asked.keys()]) {
+      this.asked.delete(what);
+      this.tell(`${what}-not-confirmed`, "bad");
+    }
+    this.refresh();
+  }
+
+  tell(key, tone, places) {
+    this.outcome.hidden = false;
+    this.outcome.dataset.tone = tone;
+    show(this.outcome, text(key, places));
+    clearTimeout(this.hiding);
+    this.hiding = setTimeout(() => {
+      this.outcome.hidden = true;
+    }, OUTCOME_MS);
+  }
+
+  refresh() {
+    // While it comes up and goes to its start position the arm moves, or soon will, though it follows no gesture.
+    const isUnderWay = ["bringing-up", "going-to-start"].includes(this.state?.phase);
+    const isStopped = this.state?.permission === "stopped" && !isUnderWay;
+    const stopKey = this.asked.has("stop") ? "stop-button-asked" : isStopped ? "stop-button-stopped" : "stop-button";
+    show(this.stop.firstElementChild, text(stopKey));
+    const note = this.rights === "watch" ? "watch-note" : this.connection.isOpen ? "stop-note" : "away-note";
+    show(this.stop.lastElementChild, text(note));
+    show(this.arm.firstElementChild, text(this.asked.has("arm") ? "arm-button-asked" : "arm-button"));
+    show(this.arm.lastElementChild, text("arm-note"));
+    this.stop.classList.toggle("is-away", !this.connection.isOpen);
+    this.stop.classList.toggle("is-asked", this.asked.has("stop"));
+    this.stop.classList.toggle("is-stopped", isStopped);
+    this.stop.setAttribute("aria-disabled", String(this.rights === "watch"));
+    // Not disabled, which would take the focus away from whoever works by keyboard.
+    this.canArm = isStopped && this.rights !== "watch";
+    this.arm.setAttribute("aria-disabled", String(!this.canArm));
+  }
+}

@@ -1,0 +1,64 @@
+// What the session is: its source, person, model, strategy, recording and time.
+
+import { show, text } from "./texts.js";
+
+export class SessionFacts {
+  constructor() {
+    this.list = document.getElementById("session-facts");
+    this.values = new Map();
+  }
+
+  setUp(hello) {
+    this.hello = hello;
+    this.state = null;
+    this.refresh();
+  }
+
+  /** Writes the list anew: the session or the language has changed. */
+  refresh() {
+    if (!this.hello) return;
+    const { hello } = this;
+    const fixed = {
+      session: hello.session,
+      source: hello.source,
+      person: hello.person ?? text("none"),
+      model: fileName(hello.model) ?? text("none"),
+      strategy: hello.strategy,
+      recording: "",
+      time: "",
+      version: hello.version,
+    };
+    this.values.clear();
+    this.list.replaceChildren(
+      ...Object.entries(fixed).map(([key, value]) => {
+        const pair = document.createElement("div");
+        const term = pair.appendChild(document.createElement("dt"));
+        const words = pair.appendChild(document.createElement("dd"));
+        term.textContent = text(`session.${key}`);
+        words.textContent = words.title = value;
+        this.values.set(key, words);
+        return pair;
+      }),
+    );
+    if (this.state) this.showState(this.state);
+  }
+
+  showState(state) {
+    this.state = state;
+    show(this.values.get("time"), clock(state.elapsed_s));
+    const recording = this.values.get("recording");
+    show(recording, state.recording ? `● ${fileName(state.recording)}` : text("not-recorded"));
+    recording.classList.toggle("is-recording", Boolean(state.recording));
+  }
+}
+
+function fileName(path) {
+  return path == null ? null : path.split("/").at(-1);
+}
+
+/** Seconds as h:mm:ss. */
+function clock(seconds) {
+  const whole = Math.floor(seconds);
+  const two = (value) => String(value).padStart(2, "0");
+  return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
+}

@@ -1,0 +1,224 @@
+"""The page in a real browser. `python3 tests/browser/test_page.py` runs it; skipped with a word where no browser is.
+
+TENDON_BROWSER names a browser; TENDON_SCREENSHOTS names a folder that gets a screenshot of each state.
+"""
+
+import gzip
+import json
+import os
+import pathlib
+import re
+import time
+import unittest
+
+from browser import Browser, find_program
+from fixture import JOINTS_RAD, START_MM, WEB, Session
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+MOST_BYTES = 300_000
+TITLE = "document.querySelector('#standing-title').textContent"
+STOP = "document.querySelector('#stop .order-name').textContent"
+OUTCOME = "document.querySelector('#order-outcome').textContent"
+IS_LIVE = "!document.body.classList.contains('is-away')"
+
+
+def kebab(name):
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
+
+
+class Texts(unittest.TestCase):
+    """What needs no browser."""
+
+    def setUp(self):
+        self.texts = json.loads((WEB / "texts.json").read_text())
+
+    def test_every_text_is_there_in_every_language_with_the_same_places(self):
+        places = {language: {key: sorted(re.findall(r"\{\w+\}", text)) for key, text in texts.items()}
+                  for language, texts in self.texts.items()}
+        self.assertEqual(sorted(places), ["en", "fr"])
+        self.assertEqual(places["en"], places["fr"])
+
+    def test_every_text_that_the_page_asks_for_is_there(self):
+        asked = set(re.findall(r'data-(?:text|label)="([^"]+)"', (WEB / "index.html").read_text()))
+        for script in WEB.glob("*.js"):
+            asked |= set(re.findall(r'\btext\("([\w.+-]+)"', script.read_text()))
+        self.assertGreater(len(asked), 40)
+        self.assertEqual(sorted(asked - set(self.texts["en"])), [])
+
+    def test_every_reason_to_stop_has_words(self):
+        source = (ROOT / "shared/messages/src/permission.rs").read_text()
+        reasons = re.findall(r"^        (\w+) = \d+,", source[source.index("pub enum StopReason"):], re.MULTILINE)
+        self.assertGreater(len(reasons), 20)
+        self.assertEqual([reason for reason in reasons if f"reason.{kebab(reason)}" not in self.texts["en"]], [])
+
+    def test_the_page_is_small(self):
+        self.assertLess(sum(len(gzip.compress(path.read_bytes())) for path in WEB.iterdir()), MOST_BYTES)
+
+
+@unittest.skipUnless(find_program(), "no browser found: install chromium-headless-shell, or name one in TENDON_BROWSER")
+class InBrowser(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.browser = cls.enterClassContext(Browser(find_program()))
+
+    def setUp(self):
+        self.session = self.enterContext(Session())
+
+    def open(self, **options):
+        page = self.browser.open(self.session.address, **options)
+        self.addCleanup(lambda: self.assertEqual(page.errors(), []))
+        page.wait_for(f"{IS_LIVE} && {TITLE} !== ''")
+        return page
+
+    def screenshot(self, page, name):
+        folder = os.environ.get("TENDON_SCREENSHOTS")
+        if folder:
+            pathlib.Path(folder).mkdir(parents=True, exist_ok=True)
+            page.save_screenshot(pathlib.Path(folder) / f"{name}.png")
+
+    def test_traces_move_and_a_gesture_shows(self):
+        page = self.open()
+        page.wait_for(f"{TITLE} === 'Ready · rest'")
+        picture = "document.querySelector('#traces').toDataURL()"
+        page.wait_for(f"{picture} !== {json.dumps(page.value(picture))}")
+        self.session.gesture = "extension"
+        page.wait_for(f"{TITLE} === 'Following · extension: up · 0.93'")
+        page.wait_for("document.querySelector('#hand use').getAttribute('href') === '#hand-extension'"
+                      " && document.querySelector('#hand use').getBBox().width > 50")
+        page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")
+        self.assertEqual(page.value("document.querySelectorAll('#hops tr').length"), 4)
+        self.screenshot(page, "following")
+
+    def test_the_arm_is_drawn_where_it_is(self):
+        page = self.open()
+        joints = json.dumps(self.session.hello()["arm"]["joints"])
+        tips = [page.value(f"import('/arm.js').then((arm) => arm.forwardKinematics({joints}, {angles}).flange.slice(9))")
+                for angles in ([0] * 7, JOINTS_RAD)]
+        # With all joints zero the vendor's flange is there; the other is the start position in tendon-arm's tests.
+        for tip, expected in zip(tips, ([206.0, 0.0, 120.5], START_MM)):
+            for value, right in zip(tip, expected):
+                self.assertAlmostEqual(value, right, delta=0.5)
+        page.wait_for("document.querySelector('#arm-facts').textContent.startsWith('x 386 · y 0 · z 362')")
+
+    def test_stop_is_asked_at_the_click_and_confirmed_by_the_state_alone(self):
+        self.session.obeys = False
+        page = self.open()
+        page.click("#stop")
+        page.wait_for(f"{STOP} === 'STOP asked …'")
+        self.assertNotIn("stopped", page.text("#standing-title"))
+        page.wait_for(f"{OUTCOME}.includes('has not confirmed')")
+        self.screenshot(page, "not-confirmed")
+        self.session.obeys = True
+        page.click("#stop")
+        page.wait_for(f"{STOP} === 'STOPPED' && {TITLE} === 'The arm is stopped'")
+        self.assertEqual(self.session.orders, ["stop", "stop"])
+        self.screenshot(page, "stopped")
+        page.click("#arm")
+        page.wait_for(f"{STOP} === 'STOP' && {TITLE} === 'Ready · rest'")
+        self.assertEqual(self.session.orders[2:], ["arm"])
+
+    def test_the_space_bar_stops_whatever_has_the_focus_and_enter_arms(self):
+        page = self.open()
+        for focus in ("#stop", "#languages button", "#arm-canvas"):
+            page.value(f"document.querySelector('{focus}').focus()")
+            page.press_space()
+            page.wait_for(f"{STOP} === 'STOPPED'")
+            # The space bar on the button that arms stops, too.
+            page.value("document.querySelector('#arm').focus()")
+            page.press_space()
+            page.press_enter()
+            page.wait_for(f"{STOP} === 'STOP'")
+        self.assertEqual(self.session.orders, ["stop", "stop", "arm"] * 3)
+
+    def test_without_a_connection_nothing_is_shown_as_live_and_no_order_waits(self):
+        page = self.open()
+        # A slow screen: what came last is still to be drawn when the connection breaks.
+        page.value("window.drawnSince = 0; window.requestAnimationFrame = (draw) =>"
+                   " setTimeout(() => { draw(); window.drawnSince += document.body.matches('.is-away'); }, 400)")
+        page.wait_for("new Promise((done) => setTimeout(() => done(true), 500))")
+        self.session.accepts = False
+        self.session.drop()
+        page.wait_for(f"!({IS_LIVE}) && document.querySelector('#signals').inert && window.drawnSince > 0")
+        page.press_space()
+        page.wait_for(f"{OUTCOME}.includes('was not sent')")
+        self.assertIn(page.text("#standing-title"), ("No connection to the session", "Too many pages are open"))
+        self.screenshot(page, "no-connection")
+        self.session.accepts = True
+        page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest' && !document.querySelector('#signals').inert")
+        self.assertEqual(self.session.orders, [])
+
+    def test_a_silent_session_is_told_and_still_gets_stop(self):
+        page = self.open()
+        self.session.is_silent = True
+        page.wait_for(f"{TITLE} === 'The session is silent'")
+        page.press_space()
+        page.wait_for(f"{OUTCOME}.includes('has not confirmed')")
+        self.assertEqual(self.session.orders, ["stop"])
+        self.session.is_silent = False
+        page.wait_for(f"{TITLE} === 'The arm is stopped'")
+
+    def test_a_page_that_only_watches_gives_no_orders_and_says_so(self):
+        self.session.rights = "watch"
+        page = self.open()
+        page.wait_for("document.querySelector('#stop .order-note').textContent.includes('only watches')")
+        page.click("#stop")
+        page.press_space()
+        page.wait_for(f"{OUTCOME}.includes('only watches')")
+        self.assertEqual(self.session.orders, [])
+
+    def test_an_address_with_another_token_is_told_what_is_wrong(self):
+        page = self.browser.open(self.session.address.split("#")[0] + "#another")
+        page.wait_for(f"{TITLE} === 'This address is not valid any more'")
+        bare = self.browser.open(self.session.address.split("#")[0])
+        bare.wait_for(f"{TITLE} === 'The address is not complete'")
+
+    def test_why_the_arm_does_not_follow_is_in_words(self):
+        page = self.open(width=1024, height=768, is_dark=True)
+        cases = [
+            ({"permission": "await-rest", "calibration_left_ms": 3200}, "Relax: measuring rest, 4\u00a0s left"),
+            ({"permission": "await-rest", "stop_reason": "no-commands"}, "Relax to go on"),
+            ({"permission": "stopped", "phase": "going-to-start"}, "The arm moves to its start position"),
+            ({"permission": "stopped", "phase": "waiting", "stop_reason": "moved-since"}, "The arm waits"),
+            ({"hindrance": "at the workspace limit +z"}, "Held up · rest"),
+            ({"unsure": True, "troubles": [{"channel": 2, "kind": "flat"}]}, "Unsure: the arm holds still"),
+        ]
+        for number, (state, title) in enumerate(cases):
+            self.session.state = state
+            page.wait_for(f"{TITLE} === {json.dumps(title)}")
+            self.screenshot(page, f"why-{number}")
+        page.wait_for("document.querySelector('#electrodes').textContent.startsWith('Channel 2 is flat')")
+
+    def test_a_tab_that_was_not_seen_catches_up_without_a_burst(self):
+        page = self.open()
+        page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")
+        page.value("window.drawn = 0; (() => { const draw = CanvasRenderingContext2D.prototype.clearRect;"
+                   " CanvasRenderingContext2D.prototype.clearRect = function (...box) {"
+                   " if (this.canvas.id === 'traces') window.drawn += 1; return draw.apply(this, box); }; })()")
+        other = self.browser.open("about:blank")
+        other.call("Page.bringToFront")
+        page.wait_for("document.hidden")
+        self.session.gesture = "flexion"
+        time.sleep(1.0)
+        page.value("window.drawn = 0")
+        began = time.monotonic()
+        page.call("Page.bringToFront")
+        page.wait_for(f"{TITLE}.startsWith('Following · flexion')")
+        # 60 frames of the screen a second, and some air.
+        self.assertLess(page.value("window.drawn"), 10 + 100 * (time.monotonic() - began))
+
+    def test_two_tabs_see_the_same_and_either_stops(self):
+        first, second = self.open(), self.open(width=1920, height=1080)
+        first.click("#stop")
+        for page in (first, second):
+            page.call("Page.bringToFront")
+            page.wait_for(f"{STOP} === 'STOPPED'")
+
+    def test_the_page_speaks_french(self):
+        page = self.open()
+        page.click("#languages [lang=fr]")
+        page.wait_for(f"{TITLE} === 'Prêt · repos' && {STOP} === 'ARRÊT' && document.documentElement.lang === 'fr'")
+        page.value("localStorage.clear()")
+
+
+if __name__ == "__main__":
+    unittest.main()
