@@ -31,9 +31,11 @@ fn a_person_is_calibrated_from_recordings_and_runs_a_session() {
     let data = data.path();
     let ended = calibrate(data, "anna", &["--json", "learnt.json"]);
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
-    for part in
-        ["anna: 3 gestures on channels 0, 3, 5, 8, windows of 150 ms", "expected accuracy", "person.toml"]
-    {
+    for part in [
+        "anna: 3 gestures on channels 0, 3, 5, 8 in adc_counts, windows of 150 ms",
+        "expected accuracy",
+        "person.toml",
+    ] {
         assert!(ended.output.contains(part), "`{part}` is not in {}", ended.output);
     }
     let listed = tendon(data, &["people"]).end();
