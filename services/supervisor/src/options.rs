@@ -163,7 +163,7 @@ pub struct Options {
     /// Record the session there, in a folder of its own: everything as it happens, for this user alone.
     #[arg(long, value_name = "FOLDER")]
     pub record: Option<PathBuf>,
-    /// Replay a recording: a 3DC folder or file, or a CSV file; or a recorded session, with its own configuration where
+    /// Replay a recording: a 3DC folder or file, a CSV, EDF, BDF or XDF file; or a recorded session, with its own configuration where
     /// --config and --set do not say otherwise.
     #[arg(long, value_name = "PATH")]
     replay: Option<PathBuf>,
