@@ -15,8 +15,8 @@ use tendon_recordings::{Channel, RecordedSession, muscles};
 /// Of the 3DC armband, those that come nearest to the places of the paper's electrodes.
 const DEFAULT: [usize; 4] = [0, 3, 5, 8];
 
-/// The channels `given`, by the names that the recordings at or below `paths` give them, or else those that the recordings at or below `paths` are taken to have. The channels of `settings` do
-/// not matter.
+/// The channels `given`, by the names that the recordings at or below `paths` give them, or else those that these are taken to
+/// have. The channels of `settings` do not matter.
 ///
 /// # Errors
 ///

@@ -101,7 +101,8 @@ impl Base {
 #[derive(Clone, Debug, Default, Args)]
 pub struct RecordingOptions {
     /// Channels of the recordings in this order, by number from 0 or by the name that the recordings give them [default: those
-    /// that the model or person names; else all of what Tendon recorded and of tables with at most four, otherwise 0,3,5,8].
+    /// that the model or person names; else all of what Tendon recorded, of your own recordings the first that look like EMG, of
+    /// 3DC 0,3,5,8].
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = named_channel)]
     pub channels: Vec<Channel>,
     /// Sampling rate of recordings that do not state it, Hz.
@@ -162,7 +163,7 @@ pub struct Options {
     /// Record the session there, in a folder of its own: everything as it happens, for this user alone.
     #[arg(long, value_name = "FOLDER")]
     pub record: Option<PathBuf>,
-    /// Replay a recording: a 3DC folder or file, or a CSV file; or a recorded session, with its own configuration where
+    /// Replay a recording: a 3DC folder or file, a CSV, EDF, BDF or XDF file; or a recorded session, with its own configuration where
     /// --config and --set do not say otherwise.
     #[arg(long, value_name = "PATH")]
     replay: Option<PathBuf>,

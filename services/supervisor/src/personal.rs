@@ -217,7 +217,7 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
         Source::Simulate => String::new(),
         Source::Replay => {
             let recorded = acquisition.replay.path.as_deref().map_or(Ok(None), RecordedSession::beside)?;
-            let own = recorded.map_or_else(String::new, |session| session.unit);
+            let own = recorded.map_or_else(|| acquisition.recording_unit(), |session| session.unit);
             if own.is_empty() { acquisition.unit.clone().unwrap_or_default() } else { own }
         }
         _ => acquisition.unit.clone().unwrap_or_default(),

@@ -36,7 +36,8 @@ use personal::People;
 /// Command line of `tendon strategies`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Continuous recordings with cues: folders of the 3DC layout or with a labels.csv, or folders above such.
+    /// Continuous recordings with cues: folders of the 3DC layout or with a labels.csv, files .edf, .bdf or .xdf, or
+    /// folders above such.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,
     /// Score only this strategy. By default, all: the paper's three, and `personal`, a recogniser calibrated to each

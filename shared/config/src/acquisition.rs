@@ -220,7 +220,7 @@ pub enum Pace {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReplaySettings {
-    /// A folder of the 3DC layout, one of its files, or a plain table (CSV).
+    /// A folder of the 3DC layout, one of its files, a plain table (CSV), or an EDF, BDF or XDF file.
     pub path: Option<PathBuf>,
     /// Which channels of the recording, by number from 0 or by column name. When left out: of a 3DC recording,
     /// the four that the models were trained on; of a table, its first columns that are muscles.
@@ -307,6 +307,14 @@ impl AcquisitionSettings {
         let recording = self.replay.recording(self.channels);
         let opened = recording.and_then(|recording| RecordingSource::open(path, &recording));
         opened.map(drop).map_err(|error| self.recording_error(error))
+    }
+
+    /// The unit that the recording to replay states; empty if it states none or cannot be read.
+    pub fn recording_unit(&self) -> String {
+        let path = self.replay.path.as_deref().unwrap_or(Path::new(""));
+        let recording = self.replay.recording(self.channels);
+        let opened = recording.and_then(|recording| RecordingSource::open(path, &recording));
+        opened.map_or_else(|_| String::new(), |source| source.unit().to_owned())
     }
 
     /// Opens the recording to replay, once it has been read through, so that a bad one is refused before anything moves.
@@ -405,6 +413,16 @@ mod tests {
         std::fs::write(&path, "Time,a,b,c,gesture,d\n0,1,2,3,0,5\n").unwrap();
         assert_eq!(channels(path.to_str().unwrap()), ["a", "b", "c", "d"].map(Channel::from));
         assert_eq!(channels("EMG/3dc_EMG_gesture_0_1.txt"), [0, 3, 5, 8].map(Channel::Index));
+    }
+
+    #[test]
+    fn the_unit_of_a_recording_is_the_one_that_it_states() {
+        let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/tests/golden/delsys.bdf");
+        let replay = ReplaySettings { path: Some(golden), ..ReplaySettings::default() };
+        let mut acquisition = AcquisitionSettings { replay, channels: 2, ..AcquisitionSettings::default() };
+        assert_eq!(acquisition.recording_unit(), "uV");
+        acquisition.replay.path = Some("nowhere.bdf".into());
+        assert_eq!(acquisition.recording_unit(), "");
     }
 
     #[test]

@@ -126,6 +126,7 @@ pub(crate) fn trials(
     let rate_hz = settings.sample_rate_hz;
     let source = recording.open(settings)?;
     let mut notices: Vec<String> = source.notices().iter().map(ToString::to_string).collect();
+    let notices_at_start = notices.len();
     let mut filter =
         settings.filter.as_ref().map(|filter| EmgFilter::new(filter, channels, rate_hz)).transpose()?;
     // Taken by pieces: the blocks' length is for replays.
@@ -136,12 +137,16 @@ pub(crate) fn trials(
     let mut piece = Vec::new();
     let mut samples = 0;
     let mut signal = Signal { channels: vec![Vec::new(); channels], samples: 0, replaced_samples: 0 };
-    let mut segment = 0;
-    let mut first_sample = 0;
+    let (mut segment, mut is_continued) = (0, false);
+    // Of the part, and of what follows on without a gap.
+    let (mut first_sample, mut next_sample) = (0, 0);
     loop {
         let block = stream.next_piece(&mut piece, PIECE_SAMPLES)?;
-        if block.is_none_or(|block| block.segment != segment) {
-            let part = Part { recording, segment: &segments[segment], first_sample, is_divided };
+        // No window spans a gap: what follows is a part of its own.
+        let is_gap = block.is_some_and(|block| block.first_sample != next_sample);
+        if is_gap || block.is_none_or(|block| block.segment != segment) {
+            let part =
+                Part { recording, segment: &segments[segment], first_sample, is_divided, is_continued };
             // A trial that the file does not contain to its end is reported below.
             let is_cut_off = block.is_none() && part.ends_after(stream.source().position());
             if !is_cut_off
@@ -151,12 +156,15 @@ pub(crate) fn trials(
                 return Ok((notices, samples));
             }
             signal.clear();
-            first_sample = block.map_or(0, |block| block.cue_since);
+            is_continued = is_gap
+                && block.is_some_and(|block| is_one_trial(&segments[segment], &segments[block.segment]));
+            first_sample = block.map_or(0, |block| if is_gap { block.first_sample } else { block.cue_since });
         }
         let Some(block) = block else { break };
         segment = block.segment;
         let piece_samples = piece.len() / channels;
         samples += piece_samples as u64;
+        next_sample = block.first_sample + piece_samples as u64;
         if let Some(filter) = &mut filter {
             signal.replaced_samples += filter.process_all(&mut piece, 0..piece_samples);
         }
@@ -166,15 +174,22 @@ pub(crate) fn trials(
             signal.channels.iter_mut().for_each(Vec::clear);
         }
     }
-    let file_samples = stream.source().position();
+    let source = stream.source();
+    notices.extend(source.notices().iter().skip(notices_at_start).map(ToString::to_string));
+    let file_samples = source.position();
     let cut_off = segments[segment..].iter().filter(|segment| segment.repetition.is_some());
     for segment in cut_off {
-        let part = Part { recording, segment, first_sample, is_divided };
+        let part = Part { recording, segment, first_sample, is_divided, is_continued };
         if part.ends_after(file_samples) && on_trial(part.cut_off(file_samples)).is_break() {
             break;
         }
     }
     Ok((notices, samples))
+}
+
+/// Whether two segments, the second after a gap, are parts of one trial.
+fn is_one_trial(first: &Segment, second: &Segment) -> bool {
+    (&first.file, first.repetition, first.cue) == (&second.file, second.repetition, second.cue)
 }
 
 /// A segment as it grows, filtered.
@@ -209,6 +224,8 @@ struct Part<'a> {
     first_sample: u64,
     /// Whether it is one of several in a file.
     is_divided: bool,
+    /// Whether it is the rest of a trial after a gap: no cue begins it.
+    is_continued: bool,
 }
 
 impl Part<'_> {
@@ -225,7 +242,7 @@ impl Part<'_> {
     }
 
     fn skipped(&self, signal: &Signal, kind: SkippedKind, reason: String) -> Outcome {
-        let reason = if self.is_divided {
+        let reason = if self.is_divided || self.is_continued {
             let end = self.first_sample + signal.samples as u64;
             format!("samples {} to {end}: {reason}", self.first_sample)
         } else {
@@ -261,6 +278,8 @@ impl Part<'_> {
         let samples_of_ms = |ms: f64| (ms * 1e-3 * rate_hz).round() as usize;
         let (onset_sample, start_sample) = match gesture {
             Gesture::REST => (None, samples_of_ms(settings.rest_start_ms)),
+            // The movement is on its way.
+            _ if self.is_continued => (None, samples_of_ms(settings.fallback_ms)),
             _ => match find_onset(&settings.onset, &content, channels, rate_hz)? {
                 Some(onset) => (Some(onset.sample), onset.start_sample),
                 None => (None, samples_of_ms(settings.fallback_ms)),
@@ -285,7 +304,7 @@ impl Part<'_> {
             repetition_of_all: self.recording.repetition_of_all(*repetition),
             gesture,
             sample_rate_hz: rate_hz,
-            first_sample: if self.is_divided { self.first_sample } else { 0 },
+            first_sample: if self.is_divided || self.is_continued { self.first_sample } else { 0 },
             samples,
             onset_sample,
             start_sample,

@@ -709,6 +709,44 @@ fn write_edf(path: &Path, seed: usize, seconds: usize, annotations: &[(f64, f64,
 }
 
 #[test]
+fn no_window_spans_missing_samples_and_the_rest_of_a_trial_is_one_of_its_own() {
+    let temporary = tempfile::tempdir().unwrap();
+    let file = temporary.path().join("recordings/anna.edf");
+    write_edf(&file, 1, 5, &[(0.5, 1.5, "rest"), (2.25, 4.0, "grip")]);
+    // Two seconds are missing before the fourth record.
+    let mut bytes = fs::read(&file).unwrap();
+    for (old, new) in
+        [(&b"EDF+C"[..], &b"EDF+D"[..]), (b"+3\x14\x14", b"+5\x14\x14"), (b"+4\x14\x14", b"+6\x14\x14")]
+    {
+        let start = bytes.windows(old.len()).position(|window| window == old).unwrap();
+        bytes[start..start + new.len()].copy_from_slice(new);
+    }
+    fs::write(&file, bytes).unwrap();
+    let out = temporary.path().join("out");
+    let manifest =
+        build(&settings(), &BuildSettings::default(), &temporary.path().join("recordings"), &out).unwrap();
+    let trials: Vec<_> = manifest
+        .recordings
+        .iter()
+        .map(|trial| (trial.gesture.to_string(), trial.first_sample, trial.samples, trial.windows))
+        .collect();
+    // Of each, the first 0.5 s are left out, then 100 samples every 25.
+    let expected = [("rest", 500, 1500, 37), ("grip", 2250, 750, 7), ("grip", 5000, 1250, 27)];
+    assert_eq!(
+        trials,
+        expected.map(|(gesture, first, samples, windows)| (gesture.to_owned(), first, samples, windows))
+    );
+    assert!(manifest.recordings[2].fallback && manifest.skipped.is_empty(), "{manifest:?}");
+    // The windows of the rest of the trial are those of the samples after the gap: the filter continued.
+    let whole = temporary.path().join("whole/anna.edf");
+    write_edf(&whole, 1, 5, &[(3.0, 1.25, "grip")]);
+    let out_of_whole = temporary.path().join("whole-out");
+    build(&settings(), &BuildSettings::default(), &temporary.path().join("whole"), &out_of_whole).unwrap();
+    let [gap, whole] = [&out, &out_of_whole].map(|out| StoredDataset::open(out).unwrap());
+    assert_eq!(gap.window(44), whole.window(0));
+}
+
+#[test]
 fn annotations_say_what_labels_would() {
     let temporary = tempfile::tempdir().unwrap();
     let (own, tables, named) =
@@ -809,8 +847,8 @@ fn labels_that_cannot_be_used_are_refused_by_line() {
         ("file,person,repetition,gesture,hand\n", "line 1: unknown column `hand`"),
         ("file,file,person,repetition,gesture\n", "line 1: column `file` is there twice"),
         (
-            "a.csv,Anna,,0,rest,,\n",
-            "line 2: person: `Anna` identifies no person: give a whole number of 0 to 65535",
+            "a.csv,\u{738b},,0,rest,,\n",
+            "line 2: person: `\u{738b}` identifies no person: give a whole number of 0 to 65535",
         ),
         ("a.csv,1,,300,rest,,\n", "line 2: repetition = `300`"),
         ("a.csv,1,,0,rest,5,5\n", "line 2: the trial ends"),

@@ -361,6 +361,9 @@ fn run(
             };
             cues.push(CuePart { is_scored, ..cue_part(segment, replayed.cue_since, &recording.trials) });
         }
+        if replayed.first_sample > end {
+            pipeline.gap(replayed.first_sample - end);
+        }
         end = replayed.first_sample + BLOCK_SAMPLES as u64;
         pipeline.push(&block, |step| {
             let first_sample = step.window.first_sample;

@@ -123,6 +123,13 @@ impl Pipeline {
         Ok(())
     }
 
+    /// Tells the pipeline that so many samples of every channel are missing before the next block: no window spans them, and
+    /// votes from before say nothing about what follows.
+    pub fn gap(&mut self, lost_samples: u64) {
+        self.chain.gap(lost_samples);
+        self.decider.restart();
+    }
+
     /// Takes a block, `[channels × samples]`, and gives what became of each window that it completes.
     ///
     /// # Errors
