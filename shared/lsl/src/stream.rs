@@ -268,7 +268,7 @@ mod tests {
 
     #[test]
     fn an_outlet_is_replaced_by_a_later_one_of_the_same_device_and_by_no_other() {
-        let of = |source_id: &str, hostname: &str, created_s| StreamFacts {
+        let of = |source_id: &str, hostname: &str, created_s: f64| StreamFacts {
             name: "Armband".to_owned(),
             content_type: "EMG".to_owned(),
             source_id: source_id.to_owned(),
