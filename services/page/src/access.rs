@@ -110,9 +110,8 @@ impl Access {
         let name = host.strip_suffix(&format!(":{}", self.address.port())).unwrap_or(host);
         let ip: Option<IpAddr> = name.trim_start_matches('[').trim_end_matches(']').parse().ok();
         // A number cannot be made to point elsewhere.
-        let is_own = |ip: IpAddr| {
-            ip.is_loopback() || ip == self.address.ip() || self.address.ip().is_unspecified()
-        };
+        let is_own =
+            |ip: IpAddr| ip.is_loopback() || ip == self.address.ip() || self.address.ip().is_unspecified();
         let is_known = name.eq_ignore_ascii_case("localhost") || ip.is_some_and(is_own);
         if is_known { Ok(()) } else { Err(Refusal::Host) }
     }
@@ -191,7 +190,8 @@ mod tests {
             let same = Claimed { origin: Some(&own), ..claimed(host, &token) };
             assert_eq!(access.rights(&same), Ok(Rights::Orders), "{host}");
         }
-        for host in ["", "example.org", "example.org:8423", "127.0.0.1.example.org:8423", "192.168.1.5:8423"] {
+        for host in ["", "example.org", "example.org:8423", "127.0.0.1.example.org:8423", "192.168.1.5:8423"]
+        {
             assert_eq!(access.rights(&claimed(host, &token)), Err(Refusal::Host), "{host}");
         }
         assert_eq!(access.rights(&Claimed { host: None, ..claimed("", &token) }), Err(Refusal::Host));

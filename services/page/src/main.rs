@@ -118,8 +118,12 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
 fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {
     let listener = TcpListener::bind(address).map_err(|error| {
         let remedy = match error.kind() {
-            std::io::ErrorKind::AddrInUse => "the port is taken: give another with --page-port, or 0 for any that is free",
-            std::io::ErrorKind::AddrNotAvailable => "this machine has no such address: give one of its own with --page-address",
+            std::io::ErrorKind::AddrInUse => {
+                "the port is taken: give another with --page-port, or 0 for any that is free"
+            }
+            std::io::ErrorKind::AddrNotAvailable => {
+                "this machine has no such address: give one of its own with --page-address"
+            }
             _ => "give another with --page-address and --page-port",
         };
         anyhow::Error::new(error).context(format!("cannot listen at {address}; {remedy}"))

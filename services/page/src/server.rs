@@ -219,12 +219,7 @@ enum Said {
 }
 
 /// Hears a viewer until it says what no page of ours says.
-async fn hear(
-    mut input: SplitStream<WebSocket>,
-    page: &Page,
-    rights: Rights,
-    replies: Sender<Reply>,
-) {
+async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, replies: Sender<Reply>) {
     let (answers, mut answered) = channel(WAITING);
     let mut pace = Pace::new(Instant::now());
     loop {
@@ -253,9 +248,12 @@ async fn hear(
                     return;
                 }
             }
-            Ok(Said::Order { id, what }) if rights == Rights::Orders => page.orders.give(id, what, answers.clone()),
+            Ok(Said::Order { id, what }) if rights == Rights::Orders => {
+                page.orders.give(id, what, answers.clone())
+            }
             Ok(Said::Order { id, what }) => {
-                let text = "this address only watches: open the one for orders on the session's machine".to_owned();
+                let text =
+                    "this address only watches: open the one for orders on the session's machine".to_owned();
                 let _ = answers.try_send(Answer { id, order: what, ok: false, text });
             }
             Err(_) => return,

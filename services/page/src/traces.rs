@@ -83,11 +83,14 @@ impl Traces {
     /// [`DesignError`] as in [`Traces::new`], when the source began anew.
     pub fn take(&mut self, header: &BlockHeader, block: &[f32]) -> Result<(), DesignError> {
         let samples = header.samples as usize;
-        if samples == 0 || header.channels as usize != self.channels || block.len() != samples * self.channels {
+        if samples == 0 || header.channels as usize != self.channels || block.len() != samples * self.channels
+        {
             return Ok(());
         }
         match self.next_sample {
-            Some(expected) if header.first_sample >= expected => self.pass_over(expected, header.first_sample),
+            Some(expected) if header.first_sample >= expected => {
+                self.pass_over(expected, header.first_sample)
+            }
             Some(_) => *self = Traces::new(&self.config.clone())?,
             None => {}
         }

@@ -130,14 +130,13 @@ impl View {
         let (header, payload) = self.state.as_ref()?;
         let (joints_rad, position_mm, orientation_rad) =
             (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
-        let gesture = |number: u8| self.config.decision.gestures.get(number).map(|gesture| gesture.name().to_owned());
+        let gesture =
+            |number: u8| self.config.decision.gestures.get(number).map(|gesture| gesture.name().to_owned());
         let command = self.command.unwrap_or_default();
         let counts = |stage| self.measurements.counts(stage);
         let troubles = traces.troubles();
-        let troubles: Vec<Value> = troubles
-            .into_iter()
-            .map(|(channel, kind)| json!({"channel": channel, "kind": kind}))
-            .collect();
+        let troubles: Vec<Value> =
+            troubles.into_iter().map(|(channel, kind)| json!({"channel": channel, "kind": kind})).collect();
         let elapsed_ns = self.started_ns.map_or(0, |started_ns| now_ns.saturating_sub(started_ns));
         Some(json!({
             "now_ns": now_ns,
@@ -217,10 +216,7 @@ fn channels(config: &Config) -> Vec<Value> {
     };
     let name = |channel: usize| {
         let name = names.and_then(|names| names.get(channel));
-        name.map_or_else(|| channel.to_string(), |name| match name {
-            tendon_config::Channel::Index(index) => index.to_string(),
-            tendon_config::Channel::Name(name) => name.clone(),
-        })
+        name.map_or_else(|| channel.to_string(), |name| name.name())
     };
     (0..acquisition.channels).map(|channel| json!({"name": name(channel), "unit": unit})).collect()
 }
@@ -232,8 +228,11 @@ fn mode(mode: &Mode) -> Value {
         Action::NextMode => "next-mode".to_owned(),
         Action::Move(motion) => motion.direction.to_string(),
     };
-    let motions: serde_json::Map<String, Value> =
-        mode.actions.iter().map(|(gesture, action)| (gesture.name().to_owned(), motion(action).into())).collect();
+    let motions: serde_json::Map<String, Value> = mode
+        .actions
+        .iter()
+        .map(|(gesture, action)| (gesture.name().to_owned(), motion(action).into()))
+        .collect();
     json!({"name": mode.name, "motions": motions})
 }
 

@@ -87,7 +87,8 @@ pub fn watch(watched: &Watched, audience: &Audience, stop: &Arc<AtomicBool>) -> 
             while !stop.load(Ordering::Relaxed) {
                 match name.configuration()? {
                     Some(text) => {
-                        let config = Config::parse(&text, std::path::Path::new("the session's configuration"))?;
+                        let config =
+                            Config::parse(&text, std::path::Path::new("the session's configuration"))?;
                         watch_session(&config, audience, stop)?;
                     }
                     None => std::thread::sleep(SESSION_LOOK),

@@ -22,6 +22,7 @@ use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
 use crate::model_channels;
+use crate::page;
 use crate::personal::{check_person, set_person};
 use crate::recorded::configuration_of;
 

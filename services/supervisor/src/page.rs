@@ -67,7 +67,8 @@ pub fn serve(options: &Options) -> Result<(), Failure> {
         let user = user_number(user).map_err(Failure::input)?;
         become_owner(&options.session, Some(user)).map_err(Failure::input)?;
     }
-    let own = std::env::current_exe().context("cannot find this program's folder").map_err(Failure::running)?;
+    let own =
+        std::env::current_exe().context("cannot find this program's folder").map_err(Failure::running)?;
     let error = Command::new(own.with_file_name(PROGRAM))
         .args(["--session", options.session.to_string().as_str()])
         .args(arguments(options.page_port, options.page_address, options.page_watch_only))

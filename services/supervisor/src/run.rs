@@ -18,8 +18,8 @@ use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    ChildrenError, Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer,
-    gesture_keys, stop_on_signals,
+    ChildrenError, Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch,
+    Writer, gesture_keys, stop_on_signals,
 };
 use tendon_session_file::RecordingReport;
 use tendon_transport::{Delivery, Leftovers, SessionLock};
