@@ -323,11 +323,6 @@ impl Tendon {
         });
     }
 
-    /// What it has written to standard error so far.
-    pub fn errors_so_far(&self) -> String {
-        self.errors.so_far()
-    }
-
     /// Sends a signal to `tendon` itself.
     pub fn signal(&self, signal: Signal) {
         kill(Pid::from_raw(self.process.id() as i32), signal).unwrap();
