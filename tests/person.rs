@@ -31,9 +31,11 @@ fn a_person_is_calibrated_from_recordings_and_runs_a_session() {
     let data = data.path();
     let ended = calibrate(data, "anna", &["--json", "learnt.json"]);
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
-    for part in
-        ["anna: 3 gestures on channels 0, 3, 5, 8, windows of 150 ms", "expected accuracy", "person.toml"]
-    {
+    for part in [
+        "anna: 3 gestures on channels 0, 3, 5, 8 in adc_counts, windows of 150 ms",
+        "expected accuracy",
+        "person.toml",
+    ] {
         assert!(ended.output.contains(part), "`{part}` is not in {}", ended.output);
     }
     let listed = tendon(data, &["people"]).end();
@@ -56,25 +58,48 @@ fn a_person_is_calibrated_from_recordings_and_runs_a_session() {
 }
 
 #[test]
-fn a_session_that_adapts_leaves_the_person_as_it_was_and_allocates_nothing() {
+fn a_session_that_adapts_leaves_the_person_as_it_was_and_is_replayed_and_deleted() {
     let data = recorded();
     let data = data.path();
-    assert_eq!(calibrate(data, "anna", &[]).exit_code, Some(0));
-    let file = data.join("tendon/people/anna/person.toml");
+    // Nobody else's sessions keep this person from being deleted.
+    let name = "adele";
+    assert_eq!(calibrate(data, name, &[]).exit_code, Some(0));
+    let file = data.join("tendon/people/adele/person.toml");
     let before = std::fs::read(&file).unwrap();
-    let session = unique_session();
-    let run =
-        TendonBuilder::command(&session, &["run", "--session", &session.to_string(), "--person", "anna"])
+    let sessions = data.join("tendon/sessions");
+    let run = |replay: &Path, arguments: &[&str]| {
+        let session = unique_session();
+        TendonBuilder::command(&session, &["run", "--session", &session.to_string()])
             .env("XDG_DATA_HOME", data)
-            .args(&["--set", "inference.adaptation=slow", "--pace", "full", "--realtime", "off"])
-            .args(&["--json", "report.json", "--replay"])
-            .arg(data.join(EMG));
-    let report = run.end().report();
+            .args(&["--pace", "full", "--realtime", "off", "--json", "report.json"])
+            .args(arguments)
+            .arg("--replay")
+            .arg(replay)
+    };
+    let adapting = ["--person", name, "--set", "inference.adaptation=slow"];
+    let report = run(&data.join(EMG), &adapting).end().report();
     assert_eq!(report.allocations["inference"], 0);
     let recognition = &report.recognition;
     assert!(recognition.windows > 400, "{recognition:?}");
     assert!(recognition.correct as f64 > 0.95 * recognition.windows as f64, "{recognition:?}");
     assert_eq!(std::fs::read(&file).unwrap(), before);
+
+    let recorded = run(&data.join(EMG), &adapting).arg("--record").arg(&sessions).end().report();
+    let recorded = &recorded.recordings[0].path;
+    let replays = &data.join("replays");
+    let replayed = run(recorded, &[]).arg("--record").arg(replays).end().report();
+    let replayed = &replayed.recordings[0].path;
+    let compared = tendon(data, &["compare"]).arg(recorded).arg(replayed).end();
+    assert_eq!(compared.exit_code, Some(0), "{compared:#?}");
+
+    tendon(data, &["delete", name]).end().assert_failed(2, &["nothing was deleted", "--yes"]);
+    assert!(file.exists() && recorded.exists());
+    let deleted = tendon(data, &["delete", name, "--yes", "--in"]).arg(replays).end();
+    assert_eq!(deleted.exit_code, Some(0), "{deleted:#?}");
+    assert!(!file.exists() && !recorded.exists() && !replayed.exists(), "{deleted:#?}");
+    assert_eq!(std::fs::read_dir(data.join("tendon/people")).unwrap().count(), 0, "{deleted:#?}");
+    let again = tendon(data, &["delete", name, "--yes"]).end();
+    assert!(again.output.starts_with("nothing is kept of adele"), "{again:#?}");
 }
 
 #[test]

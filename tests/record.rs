@@ -190,13 +190,25 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
         |message: &Message| matches!(message, Message::Event(event) if event.text == "electrode 3 is loose");
     assert!(messages.iter().any(is_note), "{messages:?}");
     assert!(messages.iter().filter(|message| matches!(message, Message::Block(_))).count() > 100);
-    let tables = folder.path().join("tables");
-    let export = TendonBuilder::command(&name, &["export"]).arg(file_in(folder.path()).unwrap());
-    let exported = export.arg("--csv").arg(&tables).end();
+    let file = file_in(folder.path()).unwrap();
+    let export = |tables: &Path, arguments: &[&str]| {
+        let export =
+            TendonBuilder::command(&unique_session(), &["export"]).arg(&file).arg("--csv").arg(tables);
+        export.args(arguments).end()
+    };
+    let exports = tempfile::tempdir().unwrap();
+    let tables = exports.path().join("tables");
+    let exported = export(&tables, &[]);
     assert_eq!(exported.exit_code, Some(0), "{exported:#?}");
     assert!(exported.errors.contains("the recording was cut"), "{exported:#?}");
     let events = std::fs::read_to_string(tables.join("events.csv")).unwrap();
     assert!(events.contains(",note,electrode 3 is loose"), "{events}");
+    export(&tables, &[]).assert_failed(2, &["is not empty", "--force"]);
+    assert_eq!(export(&tables, &["--force"]).exit_code, Some(0));
+    let settings = exports.path().join("settings");
+    std::fs::create_dir(&settings).unwrap();
+    std::fs::write(settings.join("tendon.toml"), "mine").unwrap();
+    export(&settings, &["--force"]).assert_failed(2, &["something else than an export"]);
     session.signal(Signal::SIGINT);
     let report = session.end().report();
     assert!(report.recordings[0].error.as_ref().unwrap().contains("signal: 9"), "{report:#?}");

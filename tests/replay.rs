@@ -107,14 +107,17 @@ fn an_edf_file_with_a_gap_is_replayed_at_the_rate_of_the_session_with_its_own_cu
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("delsys.edf");
     write_edf(&path);
-    let report = replay_at_full_speed(&path, &[]);
-    // Twice 5772 samples at 1925.926 Hz, of which each 27 / 26 remain: 599 blocks, from each of which windows are cut anew.
+    let run =
+        TendonBuilder::run(&unique_session()).args(&["--pace", "full", "--realtime", "off", "--replay"]);
+    let ended = run.arg(&path).end();
+    let report = ended.report();
+    // Twice 5772 samples at 1925.926 Hz, of which each 27 / 26 remain: 599 blocks, after which windows begin anew.
     assert_complete(&report, 2 * 599, 2 * windows_of(5990));
     // Half a second, and what fills no block before it.
     assert!((1000..1010).contains(&report.lost_samples), "{report:#?}");
     assert!(report.recognition.windows > 60, "{report:#?}");
     let columns = "columns EMG 1, EMG 2, EMG 3, EMG 4, in uV";
-    assert!(report.source.contains("at 1925.926 Hz") && report.source.contains(columns), "{report:#?}");
+    assert!(ended.output.contains("at 1925.926 Hz") && ended.output.contains(columns), "{ended:#?}");
 }
 
 #[test]

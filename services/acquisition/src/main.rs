@@ -11,9 +11,12 @@ use tendon_process::StageProcess;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Acquisition, |process| {
-        let (mut source, description) = source::open(&process.config)?;
+        let source::Opened { mut source, description, signal } = source::open(&process.config)?;
         let blocks = tendon_source::open_blocks(process)?;
-        process.ready(&description)?;
+        match signal {
+            Some(signal) => process.ready_with_signal(&description, signal)?,
+            None => process.ready(&description)?,
+        }
         Ok(move |process: &mut StageProcess| tendon_source::acquire(process, &mut *source, blocks))
     })
 }

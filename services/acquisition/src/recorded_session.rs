@@ -1,12 +1,14 @@
 //! A recorded session as a source: its blocks exactly as they were, gaps and new beginnings of its source among them.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
 use tendon_config::AcquisitionSettings;
-use tendon_session_file::{Block as RecordedBlock, Message, Reader, is_session_file};
+use tendon_process::{Ready, SignalDescription};
+use tendon_session_file::{Block as RecordedBlock, Message, Reader, Record, is_session_file};
 use tendon_source::{Block, Next, Source, SourceError, Wait};
 use tendon_transport::{Delivery, now_ns};
 
@@ -27,6 +29,8 @@ pub struct RecordedSession {
     start_ns: u64,
     duration_s: f64,
     is_whole: bool,
+    /// What its source said that it measures.
+    signal: Option<SignalDescription>,
 }
 
 impl RecordedSession {
@@ -35,11 +39,17 @@ impl RecordedSession {
         let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
         let mut reader = Reader::open(path)?.without_samples();
         let mut captured_ns: Option<(u64, u64)> = None;
-        while let Some(message) = reader.next_message()? {
-            let Message::Block(block) = message else { continue };
-            check(path, &block, settings)?;
-            let (first_ns, _) = captured_ns.unwrap_or((block.captured_ns, block.captured_ns));
-            captured_ns = Some((first_ns, block.captured_ns));
+        let mut signal = None;
+        while let Some(record) = reader.next()? {
+            match record {
+                Record::Message(Message::Block(block)) => {
+                    check(path, &block, settings)?;
+                    let (first_ns, _) = captured_ns.unwrap_or((block.captured_ns, block.captured_ns));
+                    captured_ns = Some((first_ns, block.captured_ns));
+                }
+                Record::Metadata { name, facts } if name == "stages" => signal = recorded_signal(&facts),
+                _ => {}
+            }
         }
         let Some((first_ns, last_ns)) = captured_ns else {
             anyhow::bail!("{}: there is no block of samples in this recording", path.display());
@@ -52,6 +62,7 @@ impl RecordedSession {
             start_ns: 0,
             duration_s: last_ns.saturating_sub(first_ns) as f64 / 1e9,
             is_whole: reader.is_whole(),
+            signal,
         })
     }
 
@@ -59,6 +70,11 @@ impl RecordedSession {
     pub fn description(&self) -> String {
         let cut = if self.is_whole { "" } else { ", cut before its end" };
         format!("recorded session {}, {:.1} s{cut}", self.path.display(), self.duration_s)
+    }
+
+    /// What the source of the recorded session said that it measures.
+    pub fn signal(&self) -> Option<SignalDescription> {
+        self.signal.clone()
     }
 
     fn next_recorded(&mut self) -> Result<Option<RecordedBlock>, SourceError> {
@@ -69,6 +85,12 @@ impl RecordedSession {
         }
         Ok(None)
     }
+}
+
+/// What the source said that it measures, out of what all stages said when they were ready.
+fn recorded_signal(facts: &BTreeMap<String, String>) -> Option<SignalDescription> {
+    let stages: BTreeMap<String, Ready> = serde_json::from_str(facts.get("json")?).ok()?;
+    stages.into_iter().find_map(|(_, ready)| ready.signal)
 }
 
 /// Refuses a block that the session has no room for.

@@ -7,6 +7,7 @@ use tendon_config::{Config, Gestures, Source as SourceKind};
 use tendon_emg_simulation::{Performance, Repeat, Script, SimulatedEmg};
 use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Truth;
+use tendon_process::SignalDescription;
 use tendon_recordings::ReplayStream;
 use tendon_recordings::table::Rate;
 use tendon_source::{BlockMaker, MadeBlock, Pace, Paced, Source, SourceError};
@@ -20,9 +21,18 @@ const RANDOM_GESTURES: usize = 1000;
 /// How many notices about a recording are shown one by one: a folder may lack many files.
 const NOTICES_SHOWN: usize = 3;
 
-/// Opens the source that the settings name, and says what to tell the user. A recording is read through once, so that
+/// A source that is open.
+pub struct Opened {
+    pub source: Box<dyn Source>,
+    /// What to tell the user.
+    pub description: String,
+    /// What it measures, if it knows.
+    pub signal: Option<SignalDescription>,
+}
+
+/// Opens the source that the settings name. A recording is read through once, so that
 /// a bad one is refused before anything moves.
-pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
+pub fn open(config: &Config) -> anyhow::Result<Opened> {
     let settings = &config.acquisition;
     let pace = match config.delivery() {
         Delivery::Live => Pace::True {
@@ -33,7 +43,8 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
         Delivery::Lossless => Pace::Full,
     };
     let samples = settings.block_samples;
-    Ok(match settings.source {
+    let mut signal = None;
+    let (source, description): (Box<dyn Source>, String) = match settings.source {
         SourceKind::Simulate => {
             let (person, description) = SimulatedPerson::open(config)?;
             (Box::new(Paced::new(person, pace, samples)), description)
@@ -41,6 +52,7 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
         SourceKind::Replay if is_recorded_session(settings) => {
             let session = RecordedSession::open(settings, config.delivery())?;
             let description = session.description();
+            signal = session.signal();
             (Box::new(session), description)
         }
         SourceKind::Replay => {
@@ -51,7 +63,8 @@ pub fn open(config: &Config) -> anyhow::Result<(Box<dyn Source>, String)> {
             "acquisition.source = \"{}\": this program reads no amplifier; another one does (acquisition.program)",
             amplifier.name()
         ),
-    })
+    };
+    Ok(Opened { source, description, signal })
 }
 
 /// The simulated person at the simulated amplifier.

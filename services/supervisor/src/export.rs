@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use clap::{ArgGroup, Args};
-use tendon_export::{BidsFacts, ExportError, Staging, Survey, TABLES, write_bids, write_tables, write_xdf};
+use tendon_export::{
+    BidsFacts, ExportError, Staging, Survey, TABLES, ZONES, write_bids, write_tables, write_xdf,
+};
 use tendon_output::OutputFile;
 use tendon_session_file::FILE_NAME;
 
@@ -144,7 +146,8 @@ fn check_tables(folder: &Path, force: bool) -> Result<(), Failure> {
     if !force {
         return Err(Failure::input(ExportError::NotEmpty { path: folder.to_owned() }));
     }
-    let is_export = TABLES.iter().any(|table| folder.join(table).is_file());
+    // Such as a folder with the settings of somebody, which have the name of those of an export.
+    let is_export = TABLES.iter().filter(|table| **table != ZONES).all(|table| folder.join(table).is_file());
     if is_export {
         return Ok(());
     }
@@ -156,7 +159,7 @@ fn check_tables(folder: &Path, force: bool) -> Result<(), Failure> {
 
 /// The zones of an earlier export are none of a session without a task.
 fn remove_old_zones(folder: &Path, survey: &Survey) -> Result<(), Failure> {
-    let zones = folder.join("zones.csv");
+    let zones = folder.join(ZONES);
     if survey.task.is_none() && zones.is_file() {
         std::fs::remove_file(&zones)
             .map_err(|source| failure(ExportError::Write { path: zones.clone(), source }))?;

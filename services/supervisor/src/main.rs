@@ -12,6 +12,7 @@ mod calibrate;
 mod channels;
 mod checks;
 mod dataset;
+mod delete;
 mod doctor;
 mod evaluate;
 mod experiments;
@@ -92,6 +93,8 @@ enum Command {
     Calibrate(calibrate::Options),
     /// List the people who were calibrated.
     People(people::Options),
+    /// Delete all that is kept of a person: calibrations, sessions, exports.
+    Delete(delete::Options),
     /// Gather what people have in common from their recordings, for the recognisers of others.
     Prior(prior::Options),
     /// Score a model on a data set: accuracy, per-class scores, confusion matrix, figures.
@@ -141,6 +144,7 @@ fn main() -> ExitCode {
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),
         Command::Calibrate(options) => calibrate::calibrate(&options),
         Command::People(options) => people::list(&options),
+        Command::Delete(options) => delete::delete(&options),
         Command::Prior(options) => prior::gather(&options),
         Command::Evaluate(options) => evaluate::evaluate(&options),
         Command::Strategies(options) => strategies::score(&options),

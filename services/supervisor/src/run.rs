@@ -10,10 +10,11 @@ use std::time::Duration;
 
 use anyhow::Context;
 use tendon_config::Config;
-use tendon_gesture::DecisionSettings;
+use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
 use tendon_output::OutputErrors;
+use tendon_people::{Person, PersonInUse};
 use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
@@ -156,6 +157,7 @@ fn run_locked(
     known: &mut Known,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
+    let _in_use = person_in_use(config).map_err(Failure::input)?;
     let robot = RobotLine::default();
     let (sender, events) = channel();
     stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
@@ -188,6 +190,13 @@ fn run_locked(
     terminal.errors.end_live();
     known.session_ended(config, &watch, usage);
     watched.and(stopped.map_err(Failure::running))
+}
+
+/// Says that the session uses its person, if it has one, until the result is dropped.
+fn person_in_use(config: &Config) -> anyhow::Result<Option<PersonInUse>> {
+    let is_personal = config.decision.strategy == Strategy::Personal;
+    let Some(file) = config.inference.person.as_ref().filter(|_| is_personal) else { return Ok(None) };
+    Ok(Some(PersonInUse::claim(&Person::read(file)?.name)?))
 }
 
 /// Watches until the time is over, the recording is, somebody says stop, or a stage ends that cannot be started

@@ -126,6 +126,7 @@ pub(crate) fn trials(
     let rate_hz = settings.sample_rate_hz;
     let source = recording.open(settings)?;
     let mut notices: Vec<String> = source.notices().iter().map(ToString::to_string).collect();
+    let notices_at_start = notices.len();
     let mut filter =
         settings.filter.as_ref().map(|filter| EmgFilter::new(filter, channels, rate_hz)).transpose()?;
     // Taken by pieces: the blocks' length is for replays.
@@ -173,7 +174,9 @@ pub(crate) fn trials(
             signal.channels.iter_mut().for_each(Vec::clear);
         }
     }
-    let file_samples = stream.source().position();
+    let source = stream.source();
+    notices.extend(source.notices().iter().skip(notices_at_start).map(ToString::to_string));
+    let file_samples = source.position();
     let cut_off = segments[segment..].iter().filter(|segment| segment.repetition.is_some());
     for segment in cut_off {
         let part = Part { recording, segment, first_sample, is_divided, is_continued };

@@ -399,7 +399,7 @@ fn labelled_recordings(
         if let Some(recorded) = recorded.as_ref().filter(|_| unit.is_empty()) {
             *unit = canonical_unit(&recorded.unit).to_owned();
         }
-        for mut file in labels::read(folder, skipped)? {
+        for mut file in labels::read(folder, settings.recording_rate_hz.or(default_hz), skipped)? {
             let is_rate_known = settings.recording_rate_hz.or(default_hz).is_some();
             if !is_rate_known && !is_signals(&file.path) && tells_no_rate(&file) {
                 return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });

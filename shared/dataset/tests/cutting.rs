@@ -289,3 +289,27 @@ fn a_data_set_says_why_it_cannot_be_built() {
     assert!(message(&no_rate, &folder).contains("sample_rate_hz = 0"));
     assert!(!out.join("manifest.json").exists());
 }
+
+#[test]
+fn a_trial_ends_where_samples_are_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    // Half a second is missing in the middle, and a sample further on.
+    let row = |row: usize| {
+        let sample = if row == 5000 { "NULL".to_owned() } else { (row * 7919 % 101).to_string() };
+        format!("{:.4},{sample}\n", (row + if row < 3000 { 0 } else { 1000 }) as f64 / 2000.0)
+    };
+    let rows: String = (0..8000).map(row).collect();
+    fs::write(folder.path().join("emg.csv"), format!("Time,EMG\n{rows}")).unwrap();
+    fs::write(folder.path().join("labels.csv"), "file,person,repetition,gesture\nemg.csv,1,0,rest\n")
+        .unwrap();
+    let settings = DatasetSettings { channels: vec!["EMG".into()], ..DatasetSettings::default() };
+    let found = dataset::list(&settings, &[folder.path().to_owned()]).unwrap();
+    let cut = dataset::cut(&settings, &found.recordings[0], &mut |_| {}).unwrap();
+    let trials: Vec<_> = cut.trials.iter().map(|trial| (trial.first_sample, trial.samples)).collect();
+    assert_eq!(trials, [(0, 3000), (4000, 2000), (6001, 2999)]);
+    assert!(
+        cut.notices.iter().any(|notice| notice.contains("1000 samples are missing in 1 place")),
+        "{cut:?}"
+    );
+    assert!(cut.notices.iter().any(|notice| notice.contains("1 line has no sample")), "{cut:?}");
+}

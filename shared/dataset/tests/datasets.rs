@@ -847,8 +847,8 @@ fn labels_that_cannot_be_used_are_refused_by_line() {
         ("file,person,repetition,gesture,hand\n", "line 1: unknown column `hand`"),
         ("file,file,person,repetition,gesture\n", "line 1: column `file` is there twice"),
         (
-            "a.csv,Anna,,0,rest,,\n",
-            "line 2: person: `Anna` identifies no person: give a whole number of 0 to 65535",
+            "a.csv,\u{738b},,0,rest,,\n",
+            "line 2: person: `\u{738b}` identifies no person: give a whole number of 0 to 65535",
         ),
         ("a.csv,1,,300,rest,,\n", "line 2: repetition = `300`"),
         ("a.csv,1,,0,rest,5,5\n", "line 2: the trial ends"),

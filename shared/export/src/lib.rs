@@ -33,5 +33,5 @@ pub use error::ExportError;
 pub use staging::Staging;
 pub use streams::write_xdf;
 pub use survey::{Gap, Survey};
-pub use tables::{TABLES, write_tables};
+pub use tables::{TABLES, ZONES, write_tables};
 pub use timeline::{Placed, Timeline};

@@ -77,7 +77,8 @@ struct Streams<'a> {
 impl<'a> Streams<'a> {
     fn begin(survey: &'a Survey, output: &'a mut dyn Write) -> io::Result<Streams<'a>> {
         let recorded_at = humantime::format_rfc3339_millis(survey.begun_at).to_string();
-        let mut file = XdfWriter::begin(output, &recorded_at)?;
+        let person = survey.person.as_ref().map_or("", |person| person.as_str());
+        let mut file = XdfWriter::begin(output, &recorded_at, person)?;
         let begun_s = survey.begun_ns as f64 * 1e-9;
         let mut add = |what: &str, content_type, channels, sample_rate_hz, is_text| {
             let name = format!("Tendon {} {what}", survey.session);

@@ -40,7 +40,8 @@ pub const TABLES: [&str; 11] = [
     CONFIGURATION,
 ];
 
-const ZONES: &str = "zones.csv";
+/// The table that there is only after a task.
+pub const ZONES: &str = "zones.csv";
 const SESSION: &str = "session.json";
 const COLUMNS: &str = "columns.json";
 const CONFIGURATION: &str = "tendon.toml";

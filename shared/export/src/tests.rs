@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 use tendon_messages::{Permission, STAGE_COUNT, Stage, StopReason, Truth};
-use tendon_recordings::Signals;
-use tendon_recordings::table::{Channel, Row, Table};
+use tendon_recordings::{Channel, RecordingSettings, RecordingSource, Signals};
 use tendon_session_file::{
     Block, CONFIGURATION, CommandRecord, ContextRecord, Cue, Event, EventKind, Message, Number, PERSON,
     PredictionRecord, StateRecord, TASK, TraceRecord, Writer,
@@ -234,21 +233,31 @@ fn names(folder: &Path, file: &str) -> Vec<String> {
 fn the_signal_reads_back_bit_for_bit_with_its_gaps_in_time() {
     let session = eventful();
     let (_folder, tables) = exported(&session);
-    let text = std::fs::read(tables.join("signal.csv")).unwrap();
-    let chosen: Vec<Channel> = (0..4).map(Channel::Index).collect();
-    let mut table = Table::open(&text, &chosen).unwrap();
-    let mut frame = [0.0_f32; 4];
+    let channels = ["flexor", "channel_2", "a_ _b_"].map(|name| Channel::Name(name.to_owned())).to_vec();
+    let settings = RecordingSettings { channels, sample_rate_hz: None, repetition: None };
+    let mut source = RecordingSource::open(&tables.join("signal.csv"), &settings).unwrap();
+    assert!((source.sample_rate_hz() / RATE_HZ - 1.0).abs() < 1e-6, "{} Hz", source.sample_rate_hz());
+    let mut values = [0.0_f32; 3];
     let mut read = Vec::new();
-    while table.next_row(&text, &mut frame).unwrap() == Row::Samples {
-        read.push(frame);
+    while let Some(frame) = source.next_frame(&mut values).unwrap() {
+        read.push((values, frame.samples_lost_before));
     }
     let samples: Vec<u64> = (0..40).chain(70..90).chain(0..30).collect();
     assert_eq!(read.len(), samples.len());
-    for (row, (frame, sample)) in read.iter().zip(&samples).enumerate() {
-        for channel in 0..3 {
-            let value = Session::value(channel, *sample);
-            assert_eq!(frame[channel + 1].to_bits(), value.to_bits(), "row {row}, channel {channel}");
+    for (row, ((values, lost), sample)) in read.iter().zip(&samples).enumerate() {
+        for (channel, value) in values.iter().enumerate() {
+            let expected = Session::value(channel, *sample);
+            assert_eq!(value.to_bits(), expected.to_bits(), "row {row}, channel {channel}");
         }
+        assert_eq!(
+            *lost,
+            match row {
+                40 => 30,
+                60 => 2000,
+                _ => 0,
+            },
+            "row {row}"
+        );
     }
     // 0.5 ms from sample to sample, 30 samples lost, and a second until the source began anew.
     let times: Vec<f64> = rows(&tables, "signal.csv").iter().map(|row| row[0].parse().unwrap()).collect();

@@ -77,13 +77,14 @@ struct Written {
 }
 
 impl<W: Write> XdfWriter<W> {
-    /// Begins a file of a recording that was made at `recorded_at`, RFC 3339.
-    pub(crate) fn begin(mut output: W, recorded_at: &str) -> io::Result<XdfWriter<W>> {
+    /// Begins a file of a recording that was made at `recorded_at`, RFC 3339, of this person; empty if there was none.
+    pub(crate) fn begin(mut output: W, recorded_at: &str, person: &str) -> io::Result<XdfWriter<W>> {
         output.write_all(b"XDF:")?;
         let mut writer = XdfWriter { output, streams: Vec::new(), next_boundary_s: None };
         let header = format!(
-            "<?xml version=\"1.0\"?><info><version>1.0</version><datetime>{}</datetime></info>",
-            escaped(recorded_at)
+            "<?xml version=\"1.0\"?><info><version>1.0</version><datetime>{}</datetime><person>{}</person></info>",
+            escaped(recorded_at),
+            escaped(person)
         );
         writer.chunk(FILE_HEADER, None, header.as_bytes())?;
         Ok(writer)
@@ -269,7 +270,7 @@ mod tests {
     #[test]
     fn samples_and_markers_are_the_bytes_that_pyxdf_reads() {
         let mut bytes = Vec::new();
-        let mut writer = XdfWriter::begin(&mut bytes, "2026-05-04T09:12:33Z").unwrap();
+        let mut writer = XdfWriter::begin(&mut bytes, "2026-05-04T09:12:33Z", "anna").unwrap();
         let emg = writer.add(&stream(2, 2000.0, false), 10.0).unwrap();
         let markers = writer.add(&stream(1, 0.0, true), 10.0).unwrap();
         writer.sample(emg, 10.0, false, Values::Numbers(&[1.5, -2.0])).unwrap();

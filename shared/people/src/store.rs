@@ -223,6 +223,16 @@ impl People {
         }
     }
 
+    /// Removes what stood for the reservation of a name; call it while that is still held, and nothing else is kept of the
+    /// person.
+    ///
+    /// # Errors
+    ///
+    /// [`PeopleError::Path`] if it stays.
+    pub fn forget(&self, name: &PersonName) -> Result<(), PeopleError> {
+        Ok(self.folder.remove(&format!("{name}.lock"))?)
+    }
+
     /// Keeps somebody new.
     ///
     /// # Errors

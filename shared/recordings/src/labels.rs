@@ -6,9 +6,12 @@
 //! anna/monday.csv,1,monday,0,extension,12000,20000 at its own rate; the end sample is not part of the trial
 //! ben.csv,ben,,1,grip,,                            no start, no end: the whole file; a person is a number or a name
 //! ```
-//! Columns may stand in any order; `session`, `start_sample`, `end_sample` and `asked` may be left out. What stands in
+//! Columns may stand in any order, separated by `,`, `;` or tabs; `session`, `start_sample`, `end_sample` and `asked` may be
+//! left out. `start_s` and `end_s` count seconds from the file's first sample instead. What stands in
 //! `asked`, for people, says how the gesture was asked for. All trials of a file
 //! are of one person and session: the filter runs through the file without a break.
+//!
+//! People may have any names. What [`PersonId`] cannot take becomes a form that it can: `Anna B.` is `anna-b`.
 
 mod problem;
 
@@ -18,10 +21,13 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use tendon_gesture::Gesture;
-use tendon_identity::PersonId;
+use tendon_identity::{NoPersonId, PersonId};
 
+use crate::error::RecordingError;
 use crate::segment::{Segment, SkippedEntry, SkippedKind};
 use crate::signals::is_signals;
+use crate::source::{FRAMES_AT_ONCE, RecordingSettings, RecordingSource};
+use crate::table::Channel;
 
 pub use problem::{LabelsError, LabelsProblem};
 
@@ -31,6 +37,8 @@ pub const FILE_NAME: &str = "labels.csv";
 /// Its columns.
 pub const COLUMNS: [&str; 8] =
     ["file", "person", "session", "repetition", "gesture", "start_sample", "end_sample", "asked"];
+/// Columns that may stand in place of `start_sample` and `end_sample`.
+const SECONDS: [&str; 2] = ["start_s", "end_s"];
 /// Of these, those that must be there.
 const REQUIRED: [&str; 4] = ["file", "person", "repetition", "gesture"];
 
@@ -62,8 +70,70 @@ struct Label {
     line: u64,
     repetition: u32,
     gesture: Gesture,
-    start_sample: u64,
-    end_sample: Option<u64>,
+    start: Place,
+    end: Option<Place>,
+}
+
+/// A place in a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Place {
+    Sample(u64),
+    /// From the first sample on.
+    Seconds(f64),
+}
+
+impl Place {
+    /// The sample there; `clock` is that of the file.
+    fn sample(self, clock: Option<&FileClock>) -> u64 {
+        match self {
+            Place::Sample(sample) => sample,
+            Place::Seconds(seconds) => clock.map_or(0, |clock| clock.sample_at(seconds)),
+        }
+    }
+}
+
+/// Which sample of a file stands where in time.
+struct FileClock {
+    sample_rate_hz: f64,
+    /// Where samples follow on: how many came before, and how many if none were missing.
+    stretches: Vec<(u64, u64)>,
+    samples: u64,
+}
+
+impl FileClock {
+    /// Reads the file at `path` once.
+    fn read(path: &Path, given_hz: Option<f64>) -> Result<FileClock, RecordingError> {
+        let settings = RecordingSettings {
+            channels: vec![Channel::Index(0)],
+            sample_rate_hz: given_hz,
+            repetition: None,
+        };
+        let mut source = RecordingSource::open(path, &settings)?;
+        let mut stretches = vec![(0, 0)];
+        let mut frames = [0.0; FRAMES_AT_ONCE];
+        let mut lost_samples = 0;
+        let mut samples = 0;
+        while let Some((count, frame)) = source.next_frames(&mut frames)? {
+            let before = source.position() - count as u64;
+            if frame.samples_lost_before > 0 {
+                // A line without a sample has a number of its own.
+                lost_samples += frame.samples_lost_before.saturating_sub(before - samples);
+                stretches.push((before, before + lost_samples));
+            }
+            samples = source.position();
+        }
+        Ok(FileClock { sample_rate_hz: source.sample_rate_hz(), stretches, samples })
+    }
+
+    fn sample_at(&self, seconds: f64) -> u64 {
+        let elapsed = (seconds * self.sample_rate_hz).round() as u64;
+        let next = self.stretches.partition_point(|(_, start)| *start <= elapsed);
+        let (before, start) = self.stretches[next - 1];
+        let end = self.stretches.get(next).map_or(self.samples, |(before, _)| *before);
+        let sample = before + (elapsed - start);
+        // What lies within a gap begins or ends with it; what lies beyond the end is noticed when the file is cut.
+        if next < self.stretches.len() { sample.min(end) } else { sample }
+    }
 }
 
 /// Whose file it is, by its first label, and its labels.
@@ -74,24 +144,32 @@ struct Labels {
     labels: Vec<Label>,
 }
 
-/// Reads `labels.csv` of `folder`. Labels that cannot be used, because their file is missing or their gesture is
+/// Reads `labels.csv` of `folder`. `given_hz` is the rate of tables that do not tell theirs. Labels that cannot be used, because their file is missing or their gesture is
 /// none of the six, are skipped, and so are tables at or below the folder that no label names.
 ///
 /// # Errors
 /// The first line that is wrong.
-pub fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<LabelledFile>, LabelsError> {
+pub fn read(
+    folder: &Path,
+    given_hz: Option<f64>,
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<Vec<LabelledFile>, LabelsError> {
     let path = folder.join(FILE_NAME);
     let wrong = |line: u64, problem| LabelsError { path: path.clone(), line, problem };
     let text = tendon_input::read(&path, tendon_input::LARGEST_LIST)
         .map_err(|error| wrong(1, LabelsProblem::Read(error)))?;
+    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text);
+    let first_line = text.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    let separator = [b'\t', b';'].into_iter().find(|separator| first_line.contains(separator));
     let mut reader = csv::ReaderBuilder::new()
+        .delimiter(separator.unwrap_or(b','))
         .trim(csv::Trim::All)
         .flexible(true)
-        .from_reader(text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&text));
+        .from_reader(text);
     let header = reader.headers().map_err(|error| wrong(1, LabelsProblem::Csv(error)))?;
     let columns = columns_of(header).map_err(|problem| wrong(1, problem))?;
 
-    let mut labels = LabelsOfFiles::default();
+    let mut labels = LabelsOfFiles { given_hz, ..LabelsOfFiles::default() };
     for record in reader.records() {
         let record = record.map_err(|error| {
             wrong(error.position().map_or(1, csv::Position::line), LabelsProblem::Csv(error))
@@ -100,6 +178,7 @@ pub fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<Labell
         let row = Row::read(&columns, &record).map_err(|problem| wrong(line, problem))?;
         labels.add(folder, line, row, skipped).map_err(|problem| wrong(line, problem))?;
     }
+    skipped.extend(labels.renamed(&path));
     list_unlabelled(folder, &path, &labels.of_file, skipped);
     labels.into_files(skipped).map_err(|(line, problem)| wrong(line, problem))
 }
@@ -107,12 +186,13 @@ pub fn read(folder: &Path, skipped: &mut Vec<SkippedEntry>) -> Result<Vec<Labell
 /// A line's cells.
 struct Row {
     file: String,
-    person: PersonId,
+    /// As it stands there.
+    person: String,
     session: String,
     repetition: u32,
     gesture: String,
-    start_sample: u64,
-    end_sample: Option<u64>,
+    start: Place,
+    end: Option<Place>,
 }
 
 impl Row {
@@ -125,28 +205,44 @@ impl Row {
                 .filter(|&number: &u64| number <= largest)
                 .ok_or_else(|| LabelsProblem::NotANumber { column, text: text.to_owned(), largest })
         };
-        let sample = |column: &'static str| match cell(column) {
-            "" => Ok(None),
-            _ => number(column, u64::MAX).map(Some),
+        let place = |sample: &'static str, seconds: &'static str| match (cell(sample), cell(seconds)) {
+            ("", "") => Ok(None),
+            ("", text) => {
+                let value = text
+                    .replace(',', ".")
+                    .parse()
+                    .ok()
+                    .filter(|value: &f64| value.is_finite() && *value >= 0.0);
+                let problem = || LabelsProblem::NoSeconds { column: seconds, text: text.to_owned() };
+                value.map(|value| Some(Place::Seconds(value))).ok_or_else(problem)
+            }
+            (_, "") => Ok(Some(Place::Sample(number(sample, u64::MAX)?))),
+            _ => Err(LabelsProblem::TwoPlaces { sample, seconds }),
         };
         if cell("file").is_empty() {
             return Err(LabelsProblem::NoFile);
         }
-        let person = cell("person").parse().map_err(LabelsProblem::NoPerson)?;
         let repetition = number("repetition", u8::MAX.into())? as u32;
-        let (start_sample, end_sample) = (sample("start_sample")?.unwrap_or(0), sample("end_sample")?);
-        if end_sample.is_some_and(|end| end <= start_sample) {
-            return Err(LabelsProblem::EndsBeforeStart { start_sample });
+        let start = place("start_sample", "start_s")?.unwrap_or(Place::Sample(0));
+        let end = place("end_sample", "end_s")?;
+        let is_reversed = match (start, end) {
+            (Place::Sample(start), Some(Place::Sample(end))) => end <= start,
+            (Place::Seconds(start), Some(Place::Seconds(end))) => end <= start,
+            _ => false,
+        };
+        if is_reversed {
+            let start = ["start_sample", "start_s"].map(cell).concat();
+            return Err(LabelsProblem::EndsBeforeStart { start });
         }
         let session = if cell("session").is_empty() { ONLY_SESSION } else { cell("session") };
         Ok(Row {
             file: cell("file").to_owned(),
-            person,
+            person: cell("person").to_owned(),
             session: session.to_owned(),
             repetition,
             gesture: cell("gesture").to_owned(),
-            start_sample,
-            end_sample,
+            start,
+            end,
         })
     }
 }
@@ -157,6 +253,10 @@ struct LabelsOfFiles {
     /// In the order in which labels name them.
     files: Vec<PathBuf>,
     of_file: BTreeMap<PathBuf, Labels>,
+    /// Everybody, with the name that the labels give.
+    people: BTreeMap<PersonId, String>,
+    /// Rate of tables that do not tell theirs.
+    given_hz: Option<f64>,
 }
 
 impl LabelsOfFiles {
@@ -167,29 +267,34 @@ impl LabelsOfFiles {
         row: Row,
         skipped: &mut Vec<SkippedEntry>,
     ) -> Result<(), LabelsProblem> {
-        let file = folder.join(&row.file);
+        let person = self.person(&row.person)?;
+        let mut file = folder.join(&row.file);
+        // As Windows writes it.
+        if row.file.contains('\\') && !file.exists() {
+            file = folder.join(row.file.replace('\\', "/"));
+        }
         if !self.of_file.contains_key(&file) {
             self.files.push(file.clone());
         }
         let labels = self.of_file.entry(file.clone()).or_insert_with(|| Labels {
             line,
-            person: row.person,
+            person,
             session: row.session.clone(),
             labels: Vec::new(),
         });
-        if (labels.person, &labels.session) != (row.person, &row.session) {
+        if (labels.person, &labels.session) != (person, &row.session) {
             let origin = |person: PersonId, session: &str| format!("person {person}, session {session}");
             return Err(LabelsProblem::OtherOrigin {
                 file: row.file,
-                origin: origin(row.person, &row.session),
+                origin: origin(person, &row.session),
                 first_origin: origin(labels.person, &labels.session),
                 first_line: labels.line,
             });
         }
-        let Row { repetition, start_sample, end_sample, .. } = row;
+        let Row { repetition, start, end, .. } = row;
         match row.gesture.to_ascii_lowercase().parse::<Gesture>() {
             Ok(gesture) => {
-                labels.labels.push(Label { line, repetition, gesture, start_sample, end_sample });
+                labels.labels.push(Label { line, repetition, gesture, start, end });
             }
             Err(error) => {
                 let reason = format!("{FILE_NAME}, line {line}: {error}");
@@ -197,6 +302,28 @@ impl LabelsOfFiles {
             }
         }
         Ok(())
+    }
+
+    /// Who is meant by a name.
+    fn person(&mut self, name: &str) -> Result<PersonId, LabelsProblem> {
+        let person = person_of_name(name).map_err(LabelsProblem::NoPerson)?;
+        let first = self.people.entry(person).or_insert_with(|| name.to_owned());
+        if first != name {
+            let names = format!("`{first}` and `{name}`");
+            return Err(LabelsProblem::SamePerson { names, person: person.to_string() });
+        }
+        Ok(person)
+    }
+
+    /// A word about everybody who has another name here than in the labels.
+    fn renamed(&self, labels: &Path) -> Vec<SkippedEntry> {
+        let other = self.people.iter().filter(|(person, name)| person.to_string() != **name);
+        let entry = |(person, name): (&PersonId, &String)| SkippedEntry {
+            path: labels.to_owned(),
+            kind: SkippedKind::Notice,
+            reason: format!("`{name}` is called {person}"),
+        };
+        other.map(entry).collect()
     }
 
     /// The files with their trials in order; or the line that is wrong, and why.
@@ -217,9 +344,30 @@ impl LabelsOfFiles {
                 skipped.push(SkippedEntry { path: file, kind, reason });
                 continue;
             }
-            labels.sort_by_key(|label| label.start_sample);
+            let in_seconds = |label: &Label| {
+                [Some(label.start), label.end]
+                    .iter()
+                    .flatten()
+                    .any(|place| matches!(place, Place::Seconds(_)))
+            };
+            let clock =
+                labels.iter().any(in_seconds).then(|| FileClock::read(&file, self.given_hz)).transpose();
+            let clock = match clock {
+                Ok(clock) => clock,
+                Err(error) => {
+                    let (kind, reason) = (SkippedKind::Unreadable, error.below(&file));
+                    skipped.push(SkippedEntry { path: file, kind, reason });
+                    continue;
+                }
+            };
+            for label in &mut labels {
+                label.start = Place::Sample(label.start.sample(clock.as_ref()));
+                label.end = label.end.map(|end| Place::Sample(end.sample(clock.as_ref())));
+            }
+            let start = |label: &Label| label.start.sample(None);
+            labels.sort_by_key(start);
             for pair in labels.windows(2) {
-                if pair[0].end_sample.is_none_or(|end| end > pair[1].start_sample) {
+                if pair[0].end.is_none_or(|end| end.sample(None) > start(&pair[1])) {
                     let (first, second) = (pair[0].line.min(pair[1].line), pair[0].line.max(pair[1].line));
                     return Err((second, LabelsProblem::Overlap { other_line: first }));
                 }
@@ -233,11 +381,23 @@ impl LabelsOfFiles {
     }
 }
 
+/// Who is meant by a name: a number or name as it stands, else the form of it that [`PersonId`] can take, in small letters, with
+/// `-` for what is none of its characters.
+fn person_of_name(name: &str) -> Result<PersonId, NoPersonId> {
+    name.parse().or_else(|error| {
+        let lower = name.to_lowercase();
+        let words = lower.split(|character: char| !(character.is_ascii_alphanumeric() || character == '_'));
+        let safe = words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("-");
+        safe.parse().map_err(|_| error)
+    })
+}
+
 /// Where each known column stands.
 fn columns_of(header: &csv::StringRecord) -> Result<BTreeMap<&'static str, usize>, LabelsProblem> {
     let mut columns = BTreeMap::new();
     for (index, name) in header.iter().enumerate() {
-        let Some(known) = COLUMNS.into_iter().find(|known| name.eq_ignore_ascii_case(known)) else {
+        let mut known = COLUMNS.into_iter().chain(SECONDS);
+        let Some(known) = known.find(|known| name.eq_ignore_ascii_case(known)) else {
             return Err(LabelsProblem::UnknownColumn { name: name.to_owned() });
         };
         if columns.insert(known, index).is_some() {
@@ -263,10 +423,11 @@ fn segments(file: &Path, labels: &[Label]) -> Vec<Segment> {
     let mut segments = Vec::new();
     let mut end_sample = Some(0);
     for label in labels {
-        if end_sample != Some(label.start_sample) {
-            segments.push(between(Some(label.start_sample)));
+        let start_sample = label.start.sample(None);
+        if end_sample != Some(start_sample) {
+            segments.push(between(Some(start_sample)));
         }
-        end_sample = label.end_sample;
+        end_sample = label.end.map(|end| end.sample(None));
         segments.push(part(Some(label.repetition), Some(label.gesture), end_sample));
     }
     if end_sample.is_some() {
@@ -315,4 +476,90 @@ pub fn is_table(path: &Path) -> bool {
     path.extension().is_some_and(|extension| {
         ["csv", "tsv", "txt"].iter().any(|known| extension.eq_ignore_ascii_case(known))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read_labels(labels: &str) -> Result<(Vec<LabelledFile>, Vec<SkippedEntry>), String> {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("anna")).unwrap();
+        // 100 ms are missing after 200 ms.
+        let row = |row: usize| {
+            format!("{:.3},{}\n", (row + if row < 200 { 0 } else { 100 }) as f64 / 1000.0, row * 37 % 11)
+        };
+        let table = "t_s,EMG\n".to_owned() + &(0..1000).map(row).collect::<String>();
+        fs::write(folder.path().join("anna/monday.csv"), table).unwrap();
+        fs::write(folder.path().join(FILE_NAME), labels).unwrap();
+        let mut skipped = Vec::new();
+        let files = read(folder.path(), None, &mut skipped).map_err(|error| error.to_string())?;
+        Ok((files, skipped))
+    }
+
+    fn ends(files: &[LabelledFile]) -> Vec<(bool, Option<u64>)> {
+        files[0].segments.iter().map(|segment| (segment.repetition.is_some(), segment.end_sample)).collect()
+    }
+
+    #[test]
+    fn labels_may_have_other_separators_seconds_and_paths_of_windows() {
+        for labels in [
+            "file;person;repetition;gesture;start_s;end_s\nanna\\monday.csv;1;0;rest;0,1;0,2\nanna\\monday.csv;1;0;grip;0.5;\n",
+            "file\tperson\trepetition\tgesture\tstart_sample\tend_sample\tstart_s\nanna/monday.csv\t1\t0\trest\t100\t200\n\
+             anna/monday.csv\t1\t0\tgrip\t\t\t0.5\n",
+        ] {
+            let (files, skipped) = read_labels(labels).unwrap();
+            assert_eq!(skipped, []);
+            let expected = [(false, Some(100)), (true, Some(200)), (false, Some(400)), (true, None)];
+            assert_eq!(ends(&files), expected, "{labels}");
+        }
+        // What begins in the gap begins after it.
+        let labels = "file,person,repetition,gesture,start_s,end_s\nanna/monday.csv,1,0,rest,0.25,0.35\n";
+        assert_eq!(
+            ends(&read_labels(labels).unwrap().0),
+            [(false, Some(200)), (true, Some(250)), (false, None)]
+        );
+    }
+
+    #[test]
+    fn wrong_places_are_refused() {
+        let refused = |cells: &str| {
+            let header = "file,person,repetition,gesture,start_sample,end_sample,start_s,end_s";
+            read_labels(&format!("{header}\nanna/monday.csv,1,0,rest,{cells}\n")).unwrap_err()
+        };
+        for (cells, part) in [
+            ("10,20,0.1,", "start_sample and start_s are both given"),
+            (",,soon,", "start_s = `soon`: give a number of seconds"),
+            (",,-1,", "start_s = `-1`"),
+            (",,0.2,0.2", "the trial ends at or before its start (0.2)"),
+            ("5,4,,", "the trial ends at or before its start (5)"),
+        ] {
+            let message = refused(cells);
+            assert!(message.contains(part), "{cells}: {message}");
+        }
+    }
+
+    #[test]
+    fn people_may_have_any_names_that_stay_apart() {
+        let labels =
+            |person: &str| format!("file,person,repetition,gesture\nanna/monday.csv,{person},0,rest\n");
+        let (files, skipped) = read_labels(&labels("Anna B.")).unwrap();
+        assert_eq!(files[0].person.to_string(), "anna-b");
+        assert!(skipped[0].reason.contains("`Anna B.` is called anna-b"), "{skipped:?}");
+        let (files, skipped) = read_labels(&labels("007")).unwrap();
+        assert_eq!((files[0].person.to_string().as_str(), skipped), ("007", Vec::new()));
+        let refused = read_labels(&(labels("Anna B.") + "anna/monday.csv,anna-b,1,grip\n")).unwrap_err();
+        assert!(refused.contains("line 3: `Anna B.` and `anna-b` would both be called anna-b"), "{refused}");
+        let refused = read_labels(&labels("\u{738b}")).unwrap_err();
+        assert!(refused.contains("identifies no person"), "{refused}");
+    }
+
+    #[test]
+    fn a_file_that_is_not_there_is_named_with_its_line() {
+        let labels = "file,person,repetition,gesture\nanna/tuesday.csv,1,0,rest\n";
+        let (files, skipped) = read_labels(labels).unwrap();
+        assert_eq!(files, []);
+        let entry = skipped.iter().find(|entry| entry.path.ends_with("anna/tuesday.csv")).unwrap();
+        assert!(entry.reason.contains("labels.csv, line 2, names it, but there is no such file"), "{entry}");
+    }
 }

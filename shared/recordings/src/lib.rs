@@ -19,6 +19,7 @@
 #![deny(unsafe_code)]
 
 mod check;
+mod column_labels;
 pub mod edf;
 mod error;
 pub mod labels;

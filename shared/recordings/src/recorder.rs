@@ -423,7 +423,7 @@ mod tests {
         let rows = read(&folder, "emg-1.csv");
         assert_eq!(rows.len(), 13);
         assert_eq!(rows[..3], [[block[0], block[3]], [block[1], block[4]], [block[2], block[5]]]);
-        let files = labels::read(&folder, &mut Vec::new()).unwrap();
+        let files = labels::read(&folder, None, &mut Vec::new()).unwrap();
         let origin = (files[0].person.to_string(), files[0].session.as_str());
         assert_eq!((files.len(), origin), (1, ("anna".to_owned(), "2026-01-02T03:04:05Z")));
         let segment = &files[0].segments[1];
@@ -443,10 +443,10 @@ mod tests {
         assert!(recorder.label(trial(Gesture::GRIP, 16, 25)).unwrap());
         assert!(recorder.label(trial(Gesture::REST, 0, 10)).unwrap());
         assert_eq!(read(place.path(), "emg-2.csv"), vec![vec![2.0; 2]; 10]);
-        let files = labels::read(place.path(), &mut Vec::new()).unwrap();
+        let files = labels::read(place.path(), None, &mut Vec::new()).unwrap();
         assert_eq!(files.len(), 2);
         recorder.unlabel(|trial| trial.gesture == Gesture::GRIP).unwrap();
-        let files = labels::read(place.path(), &mut Vec::new()).unwrap();
+        let files = labels::read(place.path(), None, &mut Vec::new()).unwrap();
         assert_eq!(files.len(), 1);
         assert_eq!(read(place.path(), "emg-2.csv").len(), 10, "samples stay");
     }
@@ -465,7 +465,7 @@ mod tests {
         second.push(7000, &[2.0; 40]).unwrap();
         assert!(second.label(trial(Gesture::GRIP, 7005, 7015)).unwrap());
         second.forget_earlier(Gesture::GRIP).unwrap();
-        let files = labels::read(place.path(), &mut Vec::new()).unwrap();
+        let files = labels::read(place.path(), None, &mut Vec::new()).unwrap();
         let made = |file: usize| -> Vec<Gesture> {
             files[file].segments.iter().filter_map(|segment| segment.cue).collect()
         };

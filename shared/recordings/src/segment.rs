@@ -56,6 +56,13 @@ pub enum Notice {
         /// What it looks like.
         kind: ColumnKind,
     },
+    /// A column of a table says what was done when.
+    Labels {
+        /// The file.
+        file: PathBuf,
+        /// The column.
+        column: String,
+    },
     /// Something about the time of a table.
     Time {
         /// The file.
@@ -163,6 +170,9 @@ impl fmt::Display for Notice {
                 "{}: column `{column}` is taken as EMG, as asked, but looks like {kind}",
                 file.display()
             ),
+            Notice::Labels { file, column } => {
+                write!(formatter, "{}: column `{column}` says which gestures were made", file.display())
+            }
             Notice::Time { file, remark } => write!(formatter, "{}: {remark}", file.display()),
             Notice::Gaps { file, gaps, samples, line } => write!(
                 formatter,

@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 
+use crate::column_labels;
 use crate::error::RecordingError;
 use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
@@ -144,7 +145,7 @@ impl RecordingSource {
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
     /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
-    /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)) without cues, at the rate that it tells, that a `session.toml` of Tendon beside it states, or `settings.sample_rate_hz` |
+    /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)), with cues only if a column says what was done, at the rate that it tells, that a `session.toml` of Tendon beside it states, or `settings.sample_rate_hz` |
     ///
     /// # Errors
     /// When the path has no known layout, the settings do not fit, or the first file cannot be opened. What is
@@ -178,17 +179,18 @@ impl RecordingSource {
         Ok(source)
     }
 
-    /// Opens the table that `segments`, at least one, divide. Its rate is what it states or what its column of time shows;
+    /// Opens the table that `segments`, at least one, divide; a single one without a cue is divided by a column of labels, if
+    /// there is one. Its rate is what it states or what its column of time shows;
     /// `given_hz` must not differ by more than 1 %, and holds where the table does not tell.
     ///
     /// # Errors
     /// When the file cannot be opened, lacks a channel, or has no rate or another one.
     pub fn of_table(
-        segments: Vec<Segment>,
+        mut segments: Vec<Segment>,
         channels: &[Channel],
         given_hz: Option<f64>,
     ) -> Result<RecordingSource, RecordingError> {
-        let file = &segments[0].file;
+        let file = &segments[0].file.clone();
         let (text, notice) = Text::open(file)?;
         let mut notices: Vec<Notice> = notice.into_iter().collect();
         let mut table = Table::open(text.bytes(), channels).map_err(RecordingError::table(file))?;
@@ -206,6 +208,13 @@ impl RecordingSource {
             let units = chosen.iter().map(|column| &columns[*column].unit);
             let common = units.clone().next().filter(|first| units.clone().all(|unit| unit == *first));
             unit = common.cloned().unwrap_or_default();
+            let is_undivided = matches!(&segments[..], [Segment { repetition: None, end_sample: None, .. }]);
+            if is_undivided
+                && let Some((column, labelled)) = column_labels::segments(file, text.bytes(), &columns)
+            {
+                notices.push(Notice::Labels { file: file.clone(), column });
+                segments = labelled;
+            }
             let timing = table.watch_time(text.bytes(), &columns).map_err(RecordingError::table(file))?;
             own_hz = timing.rate_hz;
             let is_guess = matches!(timing.remark, Some(TimingRemark::TakenAsMilliseconds { .. }));

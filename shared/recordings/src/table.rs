@@ -32,10 +32,11 @@ pub use problem::{Rate, TableError, TableProblem};
 use std::fmt;
 
 use cells::{
-    Cells, Line, Separator, excerpt, is_missing, is_text, line_at, number, sample, text_start, unusual_sample,
+    Cells, Line, Separator, excerpt, is_missing, is_text, line_at, number, sample, text_start,
+    unusual_sample, without_quotes,
 };
 use clock::{Clock, Measured};
-use column::{Shape, kind_of};
+use column::{Shape, kind_of, truth_rank};
 use head::Head;
 use problem::error_at;
 
@@ -181,6 +182,26 @@ pub(crate) fn columns_by_name(names: &[String]) -> Vec<Column> {
         Column { name: name.clone(), unit: String::new(), rate_hz: None, kind }
     };
     names.iter().map(column).collect()
+}
+
+/// The column of labels that says what was done, by its name.
+pub(crate) fn truth(columns: &[Column]) -> Option<usize> {
+    let labels = columns.iter().enumerate().filter(|(_, column)| column.kind == ColumnKind::Label);
+    let ranked = labels.filter_map(|(index, column)| Some((truth_rank(&column.name)?, index)));
+    ranked.min().map(|(_, index)| index)
+}
+
+/// What stands in a column, sample by sample, without quotes.
+pub(crate) fn cells_of_column(text: &[u8], column: usize) -> impl Iterator<Item = &[u8]> {
+    let head = Head::find(text).ok();
+    let mut position = head.as_ref().map_or(text.len(), |head| head.position);
+    let separator = head.map_or(Separator::Blanks, |head| head.separator);
+    std::iter::from_fn(move || {
+        let line = line_at(text, position).filter(|line| !line.content.trim_ascii().is_empty())?;
+        position = line.next;
+        let cell = Cells::of(line.content, separator).nth(column).unwrap_or_default();
+        Some(without_quotes(cell))
+    })
 }
 
 /// The first `count` columns of a table that are muscles, of one rate, by name where that is unique, else by number.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use proptest::prelude::*;
 use tempfile::TempDir;
+use tendon_gesture::Gesture;
 use tendon_recordings::{
     Channel, ColumnKind, Notice, RecordingError, RecordingSettings, ReplayStream, Summary, check,
     first_muscles,
@@ -251,14 +252,17 @@ fn a_column_that_is_no_muscle_is_taken_only_when_asked_for_and_then_with_a_word(
             let gesture = if row < 300 { "rest" } else { "grip" };
             format!("{:.3},{},{gesture}", row as f64 / 1000.0, samples(row, 4, ","))
         });
-    assert_eq!(assert_read(&text, ["ch1", "ch2", "ch3", "ch4"], 1000.0, 500, ""), []);
+    let notices = assert_read(&text, ["ch1", "ch2", "ch3", "ch4"], 1000.0, 500, "");
+    assert!(matches!(&notices[..], [Notice::Labels { column, .. }] if column == "gesture"), "{notices:?}");
     let (_folder, path) = file("emg.csv", &text);
     let channels = [0, 1].map(Channel::Index).to_vec();
     let settings = RecordingSettings { channels, sample_rate_hz: Some(1000.0), repetition: None };
     let summary = check(&path, &settings).unwrap();
     assert_eq!(summary.channels, ["t_s", "ch1"]);
     let expected = Notice::NoMuscle { file: path.clone(), column: "t_s".into(), kind: ColumnKind::Time };
-    assert_eq!(summary.notices, [expected]);
+    assert_eq!(summary.notices[0], expected);
+    let cues: Vec<_> = summary.cues.iter().map(|span| (span.segment.cue, span.samples)).collect();
+    assert_eq!(cues, [(Some(Gesture::REST), 300), (Some(Gesture::GRIP), 200)]);
     let refused = first_muscles(&path, 5).unwrap_err().to_string();
     assert!(refused.contains("4 columns look like them") && refused.contains("gesture: labels"), "{refused}");
 }

@@ -59,13 +59,35 @@ pub enum LabelsProblem {
         /// The largest number that may stand there.
         largest: u64,
     },
+    /// A cell that is no time in a file.
+    #[error("{column} = `{text}`: give a number of seconds from the first sample of the file, such as 12.5")]
+    NoSeconds {
+        /// The column.
+        column: &'static str,
+        /// What the cell holds.
+        text: String,
+    },
+    /// A place that is given twice.
+    #[error("{sample} and {seconds} are both given: leave one empty")]
+    TwoPlaces {
+        /// One column.
+        sample: &'static str,
+        /// The other one.
+        seconds: &'static str,
+    },
+    /// Two names that become the same.
+    #[error("{names} would both be called {person}: give one of them another name")]
+    SamePerson {
+        /// Both names.
+        names: String,
+        /// What both become.
+        person: String,
+    },
     /// A trial without samples.
-    #[error(
-        "the trial ends (end_sample) at or before its start ({start_sample}): give an end after the start"
-    )]
+    #[error("the trial ends at or before its start ({start}): give an end after the start")]
     EndsBeforeStart {
-        /// First sample of the trial.
-        start_sample: u64,
+        /// Where the trial begins, as it stands there.
+        start: String,
     },
     /// Labels of one file name two people or sessions.
     #[error(

@@ -255,6 +255,18 @@ const COUNTERS: [&str; 16] = [
 /// Names that are time only where the values rise.
 const MAYBE_TIME: [&str; 5] = ["t", "ts", "x", "unix", "epoch"];
 
+/// Names of columns that say what was done, the better ones first.
+const TRUTH: [&str; 9] =
+    ["gesture", "label", "restimulus", "stimulus", "class", "movement", "cue", "target", "exercise"];
+
+/// How good a name is for the column that says what was done, 0 the best; `None` for any other name.
+pub(super) fn truth_rank(name: &str) -> Option<usize> {
+    let words = words_of(name);
+    let is_truth =
+        |truth: &&str| words.iter().any(|word| word == truth || word.strip_suffix('s') == Some(truth));
+    TRUTH.iter().position(is_truth)
+}
+
 fn kind_by_name(name: &str, unit: &str, rises: bool) -> Option<ColumnKind> {
     let words = words_of(name);
     let has = |list: &[&str]| words.iter().any(|word| list.contains(&word.as_str()));
