@@ -23,6 +23,7 @@ mod note;
 mod options;
 mod order;
 mod output;
+mod page;
 mod people;
 mod personal;
 mod prior;
@@ -72,6 +73,8 @@ enum Command {
     Arm(order::Options),
     /// List where samples can come from: streams on the network, and what is configured.
     Sources(sources::Options),
+    /// Show a running session in a browser; waits for it, and for the next of that name.
+    Page(page::Options),
     /// Keep a note in the recording of a running session.
     Note(note::Options),
     /// Compare two recorded sessions, such as one and its replay: what was recognised and decided, bit for bit.
@@ -132,6 +135,7 @@ fn main() -> ExitCode {
         Command::Stop(options) => order::give(&options, Order::Stop),
         Command::Arm(options) => order::give(&options, Order::Arm),
         Command::Sources(options) => sources::list(&options),
+        Command::Page(options) => page::serve(&options),
         Command::Note(options) => note::leave(&options),
         Command::Compare(options) => recorded::compare(&options),
         Command::Export(options) => export::export(&options),

@@ -22,6 +22,7 @@ use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
 use crate::model_channels;
+use crate::page;
 use crate::personal::{check_person, set_person};
 use crate::recorded::configuration_of;
 
@@ -207,6 +208,9 @@ pub struct Options {
     /// Give predictions, commands and markers as streams of the Lab Streaming Layer.
     #[arg(long)]
     lsl_out: bool,
+    /// The page of the session.
+    #[command(flatten)]
+    pub page: page::RunOptions,
     /// Real-time scheduling.
     #[arg(long, value_enum)]
     realtime: Option<Realtime>,
@@ -247,6 +251,10 @@ impl Options {
             return Err(ClassifierError::OnlyPersonsAdapt.into());
         }
         config.outlets.lsl |= self.lsl_out;
+        ensure!(
+            !self.page.page || config.delivery() == Delivery::Live,
+            "--page shows sessions in the arm's own time: leave --pace full away"
+        );
         if let Some(realtime) = self.realtime {
             config.scheduling.realtime = realtime;
         }

@@ -19,8 +19,8 @@ use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer,
-    gesture_keys, stop_on_signals,
+    ChildrenError, Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch,
+    Writer, gesture_keys, stop_on_signals,
 };
 use tendon_session_file::RecordingReport;
 use tendon_transport::{Delivery, Leftovers, SessionLock};
@@ -30,7 +30,7 @@ use crate::options::Options;
 use crate::personal::check_signal;
 use crate::screen::{KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
-use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, recorded, zones};
+use crate::{Failure, TERMINAL_TIMEOUT, checks, page, provenance, recorded, zones};
 
 /// Longest time between two looks at what the stages say. Their messages do not wait for it, but the heartbeat does.
 const TICK: Duration = Duration::from_millis(50);
@@ -39,6 +39,18 @@ const TASK_TICK: Duration = Duration::from_millis(20);
 
 /// The program that gives what a session decides to the Lab Streaming Layer.
 const LSL_OUTLET: &str = "tendon-lsl-outlet";
+
+/// Starts the programs that observe the session, as far as they are asked for.
+fn companions(
+    options: &Options,
+    config: &Config,
+    terminal: &Terminal,
+) -> Result<Vec<Companion>, ChildrenError> {
+    let start = |name, arguments: &[String]| Companion::start(name, config, arguments, &terminal.errors);
+    let outlet = config.outlets.lsl.then(|| start(LSL_OUTLET, &[]));
+    let page = options.page.page.then(|| start(page::PROGRAM, &options.page.arguments()));
+    outlet.into_iter().chain(page).collect()
+}
 
 /// Runs a session. However it ends, the files that were asked for are written; not with a configuration that makes no
 /// sense, because it may name one of them as an input.
@@ -131,6 +143,7 @@ fn run_configured(
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
     Leftovers::remove(&lock, &config.session);
+    lock.keep_configuration(&config.session, &config.to_toml()).map_err(Failure::input)?;
     let result = checks::shared_memory(config)
         .map_err(Failure::input)
         .and_then(|_| run_locked(options, config, known, terminal));
@@ -202,11 +215,7 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    let mut outlet = if config.outlets.lsl {
-        Some(Companion::start(LSL_OUTLET, config, &terminal.errors).map_err(Failure::running)?)
-    } else {
-        None
-    };
+    let mut companions = companions(options, config, terminal).map_err(Failure::running)?;
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
@@ -223,7 +232,7 @@ fn watch_until_the_end(
             let Contraction { gesture, effort } = contraction;
             watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: effort as f32 });
         }
-        outlet.iter_mut().for_each(Companion::look);
+        companions.iter_mut().for_each(Companion::look);
         terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
         if turn == Turn::Over || is_over {

@@ -62,6 +62,27 @@ const JOINT_ORIGINS: [([f64; 3], f64); 7] = [
     ([0.076, 0.097, 0.0], -FRAC_PI_2),
 ];
 
+/// A joint's modified Denavit-Hartenberg parameters (Craig, Introduction to Robotics, eq. 3.6): along x by `a`, about x by
+/// `alpha`, about z by the joint's angle, along z by `d`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DenavitHartenberg {
+    /// Link length in mm.
+    pub a_mm: f64,
+    /// Offset along the joint's axis in mm.
+    pub d_mm: f64,
+    /// Twist of the link in rad.
+    pub alpha_rad: f64,
+}
+
+/// The arm's modified Denavit-Hartenberg parameters, joint 1 first; with all of them at zero, no angle has an offset.
+pub fn denavit_hartenberg() -> [DenavitHartenberg; 7] {
+    // An origin is turned about x by alpha, and shifted by a along x and by d along the z axis that this gives.
+    JOINT_ORIGINS.map(|([x_m, y_m, z_m], alpha_rad)| {
+        let d_m = z_m * alpha_rad.cos() - y_m * alpha_rad.sin();
+        DenavitHartenberg { a_mm: 1e3 * x_m, d_mm: 1e3 * d_m, alpha_rad }
+    })
+}
+
 /// The kinematic chain of the xArm7, without a tool.
 #[derive(Clone, Debug)]
 pub struct XArm7 {

@@ -31,7 +31,7 @@ pub mod velocity;
 mod violation;
 
 pub use guard::Guard;
-pub use kinematics::{JointLimits, JointVector, XArm7};
+pub use kinematics::{DenavitHartenberg, JointLimits, JointVector, XArm7, denavit_hartenberg};
 pub use limits::Obstacle;
 pub use motion::Motion;
 pub use ramp::{

@@ -33,7 +33,7 @@ pub use allocations::allocations;
 pub use control::{Control, Wake};
 pub use error::{ProcessError, WorkError, with_causes};
 pub use measure::{BATCH_LENGTH, Measurements};
-pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, leave_note};
+pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, is_recorded, leave_note};
 pub use orders::{Asker, Order, OrderError, order_robot};
 pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 

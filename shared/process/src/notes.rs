@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
 use nix::sys::socket::UnixAddr;
+use tendon_paths::claimed_names;
 use tendon_transport::{SessionName, own_user};
 
 use crate::orders::{Asker, Socket};
@@ -55,6 +56,12 @@ pub enum NoteError {
 /// What the recorder's socket is called in the kernel. It is no file, so nobody can remove it.
 fn listening_name(session: &SessionName) -> String {
     format!("tendon.{}.{session}.notes", own_user())
+}
+
+/// Whether a recorder listens for notes on this user's session: then the session is being recorded.
+pub fn is_recorded(session: &SessionName) -> bool {
+    let name = listening_name(session);
+    claimed_names(&name).contains(&name)
 }
 
 /// A note, and who waits for the answer.

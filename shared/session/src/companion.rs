@@ -29,7 +29,7 @@ pub struct Companion {
 }
 
 impl Companion {
-    /// Starts the program `name`, which lies beside this one, on this configuration. What it writes to standard error goes to
+    /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` of its own. What it writes to standard error goes to
     /// `standard_error`.
     ///
     /// # Errors
@@ -38,6 +38,7 @@ impl Companion {
     pub fn start(
         name: &'static str,
         config: &Config,
+        arguments: &[String],
         standard_error: &Writer,
     ) -> Result<Companion, ChildrenError> {
         let program = own_folder()?.join(name);
@@ -45,6 +46,7 @@ impl Companion {
         let mut process = Command::new(&program)
             .arg("--config")
             .arg(config.path())
+            .args(arguments)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())

@@ -99,6 +99,8 @@ pub struct SignalChain {
     envelopes: Vec<f32>,
     /// How many channels were replaced at each sample being pushed.
     replaced: Vec<u16>,
+    /// Samples of each channel in the last push.
+    pushed: usize,
 }
 
 impl SignalChain {
@@ -127,6 +129,7 @@ impl SignalChain {
             next_sample: 0,
             envelopes: vec![0.0; channels * settings.windows.window_samples],
             replaced: vec![0; settings.windows.window_samples],
+            pushed: 0,
         })
     }
 
@@ -148,6 +151,16 @@ impl SignalChain {
     /// What is wrong with each channel in the newest window, if anything: an electrode that is off, or picks something up.
     pub fn faults(&self) -> &[Option<Fault>] {
         self.contact.faults()
+    }
+
+    /// The samples of the last [`SignalChain::push`], filtered: one slice a channel.
+    pub fn filtered(&self) -> impl Iterator<Item = &[f32]> {
+        self.windower.newest(self.pushed)
+    }
+
+    /// The envelope of each channel at the newest sample; empty before the first.
+    pub fn envelope(&self) -> &[f32] {
+        &self.envelopes[self.pushed.saturating_sub(1) * self.channels..self.pushed * self.channels]
     }
 
     /// Takes over what the activity detector of `other`, a chain of the same settings, has measured. At rest.
@@ -198,6 +211,7 @@ impl SignalChain {
         }
         let window_ends = self.windower.advance(&self.replaced[..consumed]);
         self.next_sample += consumed as u64;
+        self.pushed = consumed;
 
         let activity = self.activity.activity();
         let window = window_ends.then(|| {

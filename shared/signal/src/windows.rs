@@ -140,6 +140,12 @@ impl Windower {
         }
     }
 
+    /// The `samples` that were accepted last, one slice a channel: they lie in one piece.
+    pub(crate) fn newest(&self, samples: usize) -> impl Iterator<Item = &[f32]> {
+        let end = if self.next == 0 { self.window } else { self.next };
+        self.ring.chunks_exact(self.window).map(move |ring| &ring[end - samples..end])
+    }
+
     /// The newest `window` samples of each channel in the two parts in which they lie, the older one first.
     pub(crate) fn parts(&self) -> impl Iterator<Item = [&[f32]; 2]> {
         self.ring.chunks_exact(self.window).map(|ring| {

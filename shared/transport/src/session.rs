@@ -106,6 +106,22 @@ impl SessionName {
         shared_memory_directory().join(format!("{}{ending}", self.prefix()))
     }
 
+    /// The configuration of this user's session of this name; `None` while it is starting, or does not run.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`] when it cannot be read, or is not to be trusted.
+    pub fn configuration(&self) -> Result<Option<String>, PathError> {
+        let Some(supervisor) = self.supervisor(own_user()) else { return Ok(None) };
+        let kept = self.folder()?.read(&self.configuration_file(supervisor.process_id))?;
+        Ok(kept.map(|text| String::from_utf8_lossy(&text).into_owned()))
+    }
+
+    /// Name of the file in the run-time folder in which a supervisor keeps the configuration.
+    fn configuration_file(&self, process_id: i32) -> String {
+        format!("{}configuration.{process_id}", self.prefix())
+    }
+
     /// iceoryx2's configuration for this session, whose run-time state lies in `folder`.
     fn config(&self, folder: &Path) -> Config {
         let mut config = Config::default();
@@ -360,6 +376,19 @@ impl SessionLock {
             }
             Err(source) => Err(SessionLockError::System { session: session.clone(), source }),
         }
+    }
+}
+
+impl SessionLock {
+    /// Keeps the session's configuration where observers that it did not start find it. It goes with the session's other
+    /// leftovers.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`] when it cannot be written.
+    pub fn keep_configuration(&self, session: &SessionName, configuration: &str) -> Result<(), PathError> {
+        let file = session.configuration_file(std::process::id() as i32);
+        runtime_folder()?.write(&file, configuration.as_bytes())
     }
 }
 

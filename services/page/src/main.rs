@@ -1,0 +1,133 @@
+//! The page of a session: shows it in a browser, and passes on stop and arm. `tendon run --page` and `tendon page` start it.
+//!
+//! ```text
+//! topics ──looked at every 8 ms──▶ watching thread ─▶ View, Traces ─▶ Audience
+//! browser ◀─ WebSocket ── server, one thread ◀──────────────────────────┘
+//! browser ── orders, with the token ──▶ server ─▶ the robot's own socket
+//! ```
+//! It is an observer: nobody waits for it, and its end is not the session's.
+#![forbid(unsafe_code)]
+
+mod access;
+mod files;
+mod orders;
+mod server;
+mod traces;
+mod view;
+mod watching;
+
+use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Parser;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use tendon_config::Config;
+use tendon_transport::SessionName;
+
+use crate::access::Access;
+use crate::files::Files;
+use crate::orders::Orders;
+use crate::server::Page;
+use crate::watching::{Audience, Watched};
+
+/// How long orders that wait for the robot may hold up the end.
+const END_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Shows a session in a browser.
+#[derive(Debug, Parser)]
+#[command(version, name = "tendon-page")]
+struct Arguments {
+    /// Configuration of the session that starts this program.
+    #[arg(long, value_name = "FILE", required_unless_present = "session")]
+    config: Option<PathBuf>,
+    /// Name of the session to wait for.
+    #[arg(long, conflicts_with = "config")]
+    session: Option<SessionName>,
+    /// Where to listen.
+    #[arg(long)]
+    address: IpAddr,
+    /// Port there; 0 for any that is free.
+    #[arg(long)]
+    port: u16,
+    /// Give nobody the right to orders.
+    #[arg(long)]
+    watch_only: bool,
+}
+
+fn main() -> ExitCode {
+    match serve(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("tendon-page: error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn serve(arguments: &Arguments) -> anyhow::Result<()> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, stop.clone()).context("cannot handle signals")?;
+    }
+    let watched = match (&arguments.config, &arguments.session) {
+        (Some(path), _) => Watched::Given(Box::new(Config::read(path)?)),
+        (None, Some(name)) => Watched::Named(name.clone()),
+        (None, None) => unreachable!("clap asks for one of the two"),
+    };
+    let listener = listen(SocketAddr::new(arguments.address, arguments.port))?;
+    let address = listener.local_addr().context("cannot tell the page's address")?;
+    let access = Access::new(address, arguments.watch_only).context("no random numbers for a token")?;
+    let (orders_link, watch_link) = access.links();
+    let audience = Arc::new(Audience::new());
+    let orders = Orders::new(watched.name().clone());
+    let files = Files::new().context("cannot compress the page")?;
+    let page = Arc::new(Page::new(access, files, audience.clone(), orders));
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .enable_time()
+        .build()
+        .context("cannot serve")?;
+    let (ended, end) = tokio::sync::oneshot::channel();
+    let watching = move || {
+        // Whoever waits for it is there until it comes.
+        let _ = ended.send(watching::watch(&watched, &audience, &stop));
+    };
+    std::thread::Builder::new()
+        .name("watching".to_owned())
+        .spawn(watching)
+        .context("cannot start a thread")?;
+    if let Some(link) = orders_link {
+        eprintln!("page: {link}");
+    }
+    eprintln!("page, to watch only: {watch_link}");
+    let result = runtime.block_on(async {
+        tokio::select! {
+            served = server::serve(listener, page) => served.context("cannot serve"),
+            end = end => end.context("the watching thread ended").flatten(),
+        }
+    });
+    runtime.shutdown_timeout(END_TIMEOUT);
+    result
+}
+
+fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {
+    let listener = TcpListener::bind(address).map_err(|error| {
+        let remedy = match error.kind() {
+            std::io::ErrorKind::AddrInUse => {
+                "the port is taken: give another with --page-port, or 0 for any that is free"
+            }
+            std::io::ErrorKind::AddrNotAvailable => {
+                "this machine has no such address: give one of its own with --page-address"
+            }
+            _ => "give another with --page-address and --page-port",
+        };
+        anyhow::Error::new(error).context(format!("cannot listen at {address}; {remedy}"))
+    })?;
+    listener.set_nonblocking(true).context("cannot listen without waiting")?;
+    Ok(listener)
+}

@@ -1,0 +1,91 @@
+//! Orders of viewers, to the robot's own socket: nothing that this program or the session does is in their way.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use tendon_process::{Order, order_robot, with_causes};
+use tendon_transport::{SessionName, own_user};
+use tokio::sync::Mutex;
+use tokio::sync::mpsc::Sender;
+
+/// What the page can order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum What {
+    /// Stop the arm.
+    Stop,
+    /// Permit motion again.
+    Arm,
+}
+
+/// What came of an order.
+#[derive(Clone, Debug, Serialize)]
+pub struct Answer {
+    /// The number that the page gave the order.
+    pub id: u64,
+    /// The order.
+    pub order: What,
+    /// Whether it was carried out.
+    pub ok: bool,
+    /// The robot's word, or why it was not asked.
+    pub text: String,
+}
+
+/// The way to the robot of one session.
+#[derive(Debug)]
+pub struct Orders {
+    session: SessionName,
+    /// Held while the robot is being asked to arm, which can take seconds.
+    arming: Arc<Mutex<()>>,
+}
+
+impl Orders {
+    /// To the robot of this session.
+    pub fn new(session: SessionName) -> Orders {
+        Orders { session, arming: Arc::default() }
+    }
+
+    /// Gives the robot an order; its answer goes to `answers` when it comes. A stop that comes while the robot is being asked
+    /// to arm is given at once, and again afterwards, so that the two cannot overtake each other.
+    pub fn give(&self, id: u64, order: What, answers: Sender<Answer>) {
+        let answer = move |(ok, text)| Answer { id, order, ok, text };
+        let (session, arming) = (self.session.clone(), self.arming.clone());
+        match (order, arming.clone().try_lock_owned()) {
+            (What::Arm, Ok(held)) => {
+                tokio::spawn(async move {
+                    let told = ask(session, Order::Arm).await;
+                    drop(held);
+                    // Whoever asked may be gone.
+                    let _ = answers.send(answer(told)).await;
+                });
+            }
+            (What::Arm, Err(_)) => {
+                let told = (false, "the robot is already being asked to arm: wait for its answer".to_owned());
+                let _ = answers.try_send(answer(told));
+            }
+            (What::Stop, held) => {
+                let is_arming = held.is_err();
+                drop(held);
+                tokio::spawn(async move {
+                    let told = ask(session.clone(), Order::Stop).await;
+                    let _ = answers.send(answer(told)).await;
+                    if is_arming {
+                        let _held = arming.lock().await;
+                        ask(session, Order::Stop).await;
+                    }
+                });
+            }
+        }
+    }
+}
+
+/// Asks the robot in a thread that may wait. Whether it obeyed, and what it said.
+async fn ask(session: SessionName, order: Order) -> (bool, String) {
+    let asked = tokio::task::spawn_blocking(move || order_robot(&session, Some(own_user()), order));
+    match asked.await {
+        // As `tendon stop` and `tendon arm` take it.
+        Ok(Ok(said)) => (!said.starts_with("not armed") && !said.starts_with("not confirmed"), said),
+        Ok(Err(error)) => (false, with_causes(&error)),
+        Err(error) => (false, format!("the order was not given: {error}")),
+    }
+}

@@ -1,0 +1,325 @@
+//! The server: files, and one WebSocket a viewer.
+//!
+//! ```text
+//! GET /ws ─▶ Access ─▶ seat free? ─▶ upgrade ─┬─ writing: hello, then every update, answers; 5 s for each at most
+//!                         503                 └─ reading: ping, orders; whatever is too long, too often or no message
+//!                                                of the page ends the connection
+//! ```
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::Router;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{ConnectInfo, RawQuery, Request, State};
+use axum::http::header::{HOST, ORIGIN};
+use axum::http::{HeaderMap, HeaderName, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use futures_util::stream::{SplitSink, SplitStream};
+use futures_util::{SinkExt, StreamExt};
+use serde::Deserialize;
+use serde_json::json;
+use tendon_transport::now_ns;
+use tokio::net::TcpListener;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::mpsc::{Receiver, Sender, channel};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+use crate::access::{Access, Claimed, Rights};
+use crate::files::Files;
+use crate::orders::{Answer, Orders, What};
+use crate::watching::{Audience, Update};
+
+/// Viewers at a time.
+const SEATS: usize = 8;
+/// Longest message of a viewer, bytes.
+const LONGEST_MESSAGE: usize = 4096;
+/// Most messages of a viewer in a second.
+const MOST_MESSAGES: u32 = 50;
+/// How long a viewer may take for one message before it is left.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Answers and pongs that wait for a slow viewer.
+const WAITING: usize = 64;
+
+/// What every answer says to the browser: nothing from elsewhere, and in no other page.
+const SAFETY: [(&str, &str); 5] = [
+    (
+        "content-security-policy",
+        "default-src 'self'; connect-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; \
+         frame-ancestors 'none'",
+    ),
+    ("x-content-type-options", "nosniff"),
+    ("referrer-policy", "no-referrer"),
+    ("cross-origin-resource-policy", "same-origin"),
+    ("cross-origin-opener-policy", "same-origin"),
+];
+
+/// What the requests share.
+#[derive(Debug)]
+pub struct Page {
+    /// Who may do what.
+    pub access: Access,
+    /// What is shown.
+    pub files: Files,
+    /// What the viewers are told.
+    pub audience: Arc<Audience>,
+    /// The way to the robot.
+    pub orders: Orders,
+    seats: Arc<Semaphore>,
+}
+
+impl Page {
+    /// Without viewers.
+    pub fn new(access: Access, files: Files, audience: Arc<Audience>, orders: Orders) -> Page {
+        Page { access, files, audience, orders, seats: Arc::new(Semaphore::new(SEATS)) }
+    }
+}
+
+/// Serves until it is dropped.
+///
+/// # Errors
+///
+/// When the listener cannot be used any more.
+pub async fn serve(listener: std::net::TcpListener, page: Arc<Page>) -> std::io::Result<()> {
+    let router = Router::new()
+        .route("/ws", get(enter))
+        .fallback(get(file))
+        .layer(axum::middleware::from_fn_with_state(page.clone(), guard))
+        .with_state(page);
+    let listener = TcpListener::from_std(listener)?;
+    axum::serve(listener, router.into_make_service_with_connect_info::<SocketAddr>()).await
+}
+
+/// Refuses requests to names that are not this page's, and adds the headers of safety.
+async fn guard(State(page): State<Arc<Page>>, request: Request, next: Next) -> Response {
+    let mut response = match page.access.check_host(text(request.headers(), &HOST)) {
+        Ok(()) => next.run(request).await,
+        Err(refusal) => (refusal.status(), refusal.to_string()).into_response(),
+    };
+    for (name, value) in SAFETY {
+        response.headers_mut().insert(
+            HeaderName::from_static(name),
+            value.parse().expect("the constants are header values: tested"),
+        );
+    }
+    response
+}
+
+async fn file(State(page): State<Arc<Page>>, request: Request) -> Response {
+    page.files.answer(request.uri().path(), request.headers())
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
+    headers.get(name).map(|value| value.to_str().unwrap_or("?"))
+}
+
+/// Lets a viewer in.
+async fn enter(
+    State(page): State<Arc<Page>>,
+    ConnectInfo(peer): ConnectInfo<SocketAddr>,
+    RawQuery(query): RawQuery,
+    headers: HeaderMap,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    let query = query.unwrap_or_default();
+    let claimed = Claimed {
+        host: text(&headers, &HOST),
+        origin: text(&headers, &ORIGIN),
+        token: query.split('&').find_map(|pair| pair.strip_prefix("token=")),
+        peer: peer.ip(),
+    };
+    let rights = match page.access.rights(&claimed) {
+        Ok(rights) => rights,
+        Err(refusal) => return (refusal.status(), refusal.to_string()).into_response(),
+    };
+    let Ok(seat) = page.seats.clone().try_acquire_owned() else {
+        let words = format!("{SEATS} browsers look at this session already: close one");
+        return (StatusCode::SERVICE_UNAVAILABLE, words).into_response();
+    };
+    match upgrade {
+        Ok(upgrade) => upgrade
+            .max_message_size(LONGEST_MESSAGE)
+            .max_frame_size(LONGEST_MESSAGE)
+            .on_upgrade(move |socket| attend(socket, page, rights, seat)),
+        Err(rejection) => rejection.into_response(),
+    }
+}
+
+/// Attends to a viewer until either side ends it.
+async fn attend(socket: WebSocket, page: Arc<Page>, rights: Rights, _seat: OwnedSemaphorePermit) {
+    let (output, input) = socket.split();
+    let (answers, answered) = channel(WAITING);
+    // Reading goes on while writing waits: a stop is heard from a browser that does not read.
+    tokio::select! {
+        () = tell(output, &page, rights, answered) => {}
+        () = hear(input, &page, rights, answers) => {}
+    }
+}
+
+/// Tells a viewer everything, until it takes nothing more.
+async fn tell(
+    mut output: SplitSink<WebSocket, Message>,
+    page: &Page,
+    rights: Rights,
+    mut answered: Receiver<Reply>,
+) {
+    let mut hello = page.audience.hello.subscribe();
+    hello.mark_changed();
+    let mut updates = page.audience.updates.subscribe();
+    loop {
+        let message = tokio::select! {
+            biased;
+            Some(reply) = answered.recv() => Message::Text(reply.text().into()),
+            Ok(()) = hello.changed() => {
+                let Some(mut facts) = hello.borrow_and_update().clone() else { continue };
+                facts["rights"] = rights.name().into();
+                Message::Text(json!({ "hello": facts }).to_string().into())
+            }
+            update = updates.recv() => match update {
+                Ok(Update::Text(text)) => Message::Text(text),
+                Ok(Update::Frame(frame)) => Message::Binary(frame),
+                // It is slow: it goes on with what is new.
+                Err(RecvError::Lagged(_)) => continue,
+                Err(RecvError::Closed) => return,
+            },
+        };
+        match tokio::time::timeout(PATIENCE, output.send(message)).await {
+            Ok(Ok(())) => {}
+            Ok(Err(_)) | Err(_) => return,
+        }
+    }
+}
+
+/// What one viewer alone is told.
+#[derive(Debug)]
+enum Reply {
+    Pong { t: f64 },
+    Answer(Answer),
+}
+
+impl Reply {
+    fn text(self) -> String {
+        match self {
+            Reply::Pong { t } => json!({"pong": {"t": t, "now_ns": now_ns()}}).to_string(),
+            Reply::Answer(answer) => json!({ "answer": answer }).to_string(),
+        }
+    }
+}
+
+/// What a viewer says.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+enum Said {
+    Ping { t: f64 },
+    Order { id: u64, what: What },
+}
+
+/// Hears a viewer until it says what no page of ours says.
+async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, replies: Sender<Reply>) {
+    let (answers, mut answered) = channel(WAITING);
+    let mut pace = Pace::new(Instant::now());
+    loop {
+        let message = tokio::select! {
+            biased;
+            Some(answer) = answered.recv() => {
+                if replies.try_send(Reply::Answer(answer)).is_err() {
+                    return;
+                }
+                continue;
+            }
+            message = input.next() => message,
+        };
+        let Some(Ok(message)) = message else { return };
+        if !pace.allows(Instant::now()) {
+            return;
+        }
+        let said = match message {
+            Message::Text(text) => serde_json::from_str(&text),
+            Message::Ping(_) | Message::Pong(_) => continue,
+            Message::Binary(_) | Message::Close(_) => return,
+        };
+        match said {
+            Ok(Said::Ping { t }) => {
+                if replies.try_send(Reply::Pong { t }).is_err() {
+                    return;
+                }
+            }
+            Ok(Said::Order { id, what }) if rights == Rights::Orders => {
+                page.orders.give(id, what, answers.clone())
+            }
+            Ok(Said::Order { id, what }) => {
+                let text =
+                    "this address only watches: open the one for orders on the session's machine".to_owned();
+                let _ = answers.try_send(Answer { id, order: what, ok: false, text });
+            }
+            Err(_) => return,
+        }
+    }
+}
+
+/// Counts a viewer's messages by the second.
+#[derive(Debug)]
+struct Pace {
+    since: Instant,
+    messages: u32,
+}
+
+impl Pace {
+    fn new(now: Instant) -> Pace {
+        Pace { since: now, messages: 0 }
+    }
+
+    /// Whether one more message is in order.
+    fn allows(&mut self, now: Instant) -> bool {
+        if now.duration_since(self.since) >= Duration::from_secs(1) {
+            *self = Pace::new(now);
+        }
+        self.messages += 1;
+        self.messages <= MOST_MESSAGES
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::http::HeaderValue;
+
+    #[test]
+    fn the_headers_of_safety_are_headers() {
+        for (name, value) in SAFETY {
+            assert_eq!(HeaderName::from_static(name).as_str(), name);
+            assert!(value.parse::<HeaderValue>().is_ok(), "{value}");
+        }
+    }
+
+    #[test]
+    fn fifty_messages_in_a_second_are_in_order_and_one_more_is_not() {
+        let begun = Instant::now();
+        let mut pace = Pace::new(begun);
+        assert!((0..MOST_MESSAGES).all(|_| pace.allows(begun)));
+        assert!(!pace.allows(begun + Duration::from_millis(999)));
+        assert!(pace.allows(begun + Duration::from_secs(1)));
+    }
+
+    #[test]
+    fn only_what_the_page_says_is_understood() {
+        let understood = |text: &str| serde_json::from_str::<Said>(text).is_ok();
+        assert!(understood(r#"{"ping":{"t":12.5}}"#));
+        assert!(understood(r#"{"order":{"id":1,"what":"stop"}}"#));
+        for text in [
+            "",
+            "{}",
+            r#"{"order":{"id":1,"what":"start"}}"#,
+            r#"{"order":{"id":-1,"what":"stop"}}"#,
+            r#"{"order":{"what":"stop"}}"#,
+            r#"{"order":{"id":1,"what":"arm","also":1}}"#,
+            r#"{"ping":{"t":1},"order":{"id":1,"what":"arm"}}"#,
+        ] {
+            assert!(!understood(text), "{text}");
+        }
+    }
+}

@@ -1,0 +1,313 @@
+//! What the page is told of a session, out of the newest message of each topic. Pure: time comes in as nanoseconds.
+//!
+//! ```text
+//! config ──────────────────────────────▶ hello     once
+//! predictions, commands, states ─▶ View ─▶ state     30 times a second
+//! measurements ──────────────────────────▶ latency   once a second
+//! ```
+
+use std::path::Path;
+
+use hdrhistogram::Histogram;
+use serde_json::{Value, json};
+use tendon_config::{Config, Source};
+use tendon_gesture::{Action, Mode};
+use tendon_messages::{
+    ArmPhase, BlockHeader, CommandHeader, Hindrance, Measurement, MeasurementHeader, Permission, Stage,
+    StateHeader, StopReason,
+};
+use tendon_report::{LatencySummary, SessionMeasurements};
+
+use crate::traces::Traces;
+
+/// The paper's latency, window start to command, ms.
+const PAPER_MEDIAN_MS: u32 = 326;
+const PAPER_MEAN_MS: u32 = 324;
+/// The histograms' first edge, and how far each is from the next.
+const FIRST_EDGE_NS: u64 = 1000;
+const EDGE_RATIO: f64 = 1.25;
+
+/// A session as it is now.
+#[derive(Debug)]
+pub struct View {
+    config: Config,
+    /// When sample 0 was captured, as the newest block tells.
+    started_ns: Option<u64>,
+    probabilities: Vec<f32>,
+    efforts: Vec<f32>,
+    novelty: f32,
+    command: Option<CommandHeader>,
+    state: Option<(StateHeader, Vec<f32>)>,
+    measurements: SessionMeasurements,
+    /// Process of each stage, and how often it was another one.
+    processes: [u64; Stage::ALL.len()],
+    restarts: u64,
+    /// Whether a recorder writes.
+    pub is_recorded: bool,
+}
+
+impl View {
+    /// Of a session of which nothing has come yet.
+    pub fn new(config: &Config) -> View {
+        View {
+            config: config.clone(),
+            started_ns: None,
+            probabilities: Vec::new(),
+            efforts: Vec::new(),
+            novelty: 0.0,
+            command: None,
+            state: None,
+            measurements: SessionMeasurements::default(),
+            processes: [0; Stage::ALL.len()],
+            restarts: 0,
+            is_recorded: false,
+        }
+    }
+
+    /// A block has come.
+    pub fn block(&mut self, header: &BlockHeader) {
+        let newest = header.first_sample + u64::from(header.samples);
+        let since_start_ns = 1e9 * newest as f64 / header.sample_rate_hz;
+        self.started_ns = Some(header.trace.captured_ns.saturating_sub(since_start_ns as u64));
+    }
+
+    /// A prediction has come.
+    pub fn prediction(&mut self, novelty: f32, payload: &[f32]) {
+        let (probabilities, efforts) = payload.split_at(payload.len() / 2);
+        (self.probabilities, self.efforts) = (probabilities.to_vec(), efforts.to_vec());
+        self.novelty = novelty;
+    }
+
+    /// A command has come.
+    pub fn command(&mut self, header: &CommandHeader) {
+        self.command = Some(*header);
+    }
+
+    /// A state of the arm has come.
+    pub fn state(&mut self, header: &StateHeader, payload: &[f32]) {
+        self.state = Some((*header, payload.to_vec()));
+    }
+
+    /// Measurements of a stage have come.
+    pub fn measured(&mut self, header: &MeasurementHeader, batch: &[Measurement]) {
+        self.measurements.absorb(header, batch);
+        if let Some(process) = self.processes.get_mut(usize::from(header.stage)) {
+            self.restarts += u64::from(*process != 0 && *process != header.process_id);
+            *process = header.process_id;
+        }
+    }
+
+    /// What does not change as long as the session runs. `rights` is for each viewer to add.
+    pub fn hello(&self, joined_ns: u64, bin_ms: f64) -> Value {
+        let Config { acquisition, decision, inference, robot, .. } = &self.config;
+        let stem = |path: &Path| path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let joints = tendon_arm::denavit_hartenberg().map(|joint| {
+            json!({"a_mm": joint.a_mm, "d_mm": joint.d_mm, "alpha_rad": joint.alpha_rad, "theta_offset_rad": 0.0})
+        });
+        json!({
+            "session": self.config.session.to_string(),
+            "version": env!("CARGO_PKG_VERSION"),
+            "started_ns": joined_ns,
+            "source": acquisition.source.name(),
+            "person": inference.person.as_deref().and_then(stem),
+            "model": inference.model,
+            "strategy": decision.strategy.name(),
+            "sample_rate_hz": acquisition.sample_rate_hz,
+            "channels": channels(&self.config),
+            "gestures": decision.gestures.iter().map(|gesture| gesture.name().to_owned()).collect::<Vec<_>>(),
+            "modes": decision.modes.iter().map(mode).collect::<Vec<_>>(),
+            "workspace_mm": {"min": robot.arm.workspace_min_mm, "max": robot.arm.workspace_max_mm},
+            "arm": {"joints": joints},
+            "speed_mm_per_s": decision.speed_mm_per_s,
+            "task": false,
+            "paper": {"median_ms": PAPER_MEDIAN_MS, "mean_ms": PAPER_MEAN_MS},
+            "bin_ms": bin_ms,
+        })
+    }
+
+    /// The session now; `None` before the arm has said anything.
+    pub fn now(&self, now_ns: u64, traces: &Traces) -> Option<Value> {
+        let (header, payload) = self.state.as_ref()?;
+        let (joints_rad, position_mm, orientation_rad) =
+            (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
+        let gesture =
+            |number: u8| self.config.decision.gestures.get(number).map(|gesture| gesture.name().to_owned());
+        let command = self.command.unwrap_or_default();
+        let counts = |stage| self.measurements.counts(stage);
+        let troubles = traces.troubles();
+        let troubles: Vec<Value> =
+            troubles.into_iter().map(|(channel, kind)| json!({"channel": channel, "kind": kind})).collect();
+        let elapsed_ns = self.started_ns.map_or(0, |started_ns| now_ns.saturating_sub(started_ns));
+        Some(json!({
+            "now_ns": now_ns,
+            "captured_ns": traces.captured_ns(),
+            "elapsed_s": elapsed_ns as f64 / 1e9,
+            "position_mm": position_mm,
+            "orientation_rad": orientation_rad,
+            "joints_rad": joints_rad,
+            "speed_mm_per_s": header.speed_mm_per_s,
+            "gripper": header.gripper_position,
+            "permission": kebab_case(&Permission::from_number(header.permission)),
+            "stop_reason": StopReason::from_number(header.stop_reason).map(|reason| kebab_case(&reason)),
+            "hindrance": Hindrance::from_number(header.hindrance).map(|hindrance| hindrance.to_string()),
+            "phase": kebab_case(&ArmPhase::from_number(header.arm_phase)),
+            "gesture": gesture(header.gesture),
+            "voted": gesture(command.voted),
+            "confidence": header.confidence,
+            "unsure": header.is_unsure != 0,
+            "novelty": self.novelty,
+            "probabilities": self.probabilities,
+            "efforts": self.efforts,
+            "mode": header.mode,
+            "calibration_left_ms": header.calibration_left_ms,
+            "zone": null,
+            "recording": self.is_recorded.then_some("session.mcap"),
+            "lost_samples": counts(Stage::Acquisition).lost_samples,
+            "lost_blocks": counts(Stage::Dsp).lost,
+            "stale": Stage::ALL.into_iter().map(|stage| counts(stage).stale).sum::<u64>(),
+            "restarts": self.restarts,
+            "clock_drift_ppm": self.measurements.clock_drift_ppm(),
+            "troubles": troubles,
+        }))
+    }
+
+    /// The latencies so far.
+    pub fn latency(&self) -> Value {
+        let transits = Stage::ALL.into_iter().filter_map(|stage| {
+            let name = format!("{} → {}", stage.upstream()?.name(), stage.name());
+            Some(summary(&name, self.measurements.transit(stage)))
+        });
+        let works = Stage::ALL
+            .into_iter()
+            .filter(|stage| stage.upstream().is_some())
+            .map(|stage| summary(&format!("{} (work)", stage.name()), self.measurements.work(stage)));
+        json!({
+            "hops": transits.chain(works).collect::<Vec<_>>(),
+            "newest_sample_to_command":
+                summary("newest sample → command", &self.measurements.newest_sample_to_command),
+        })
+    }
+}
+
+/// The name of a variant in lower case with hyphens: `AwaitRest` is `await-rest`.
+fn kebab_case(variant: &impl std::fmt::Debug) -> String {
+    let mut name = String::new();
+    for letter in format!("{variant:?}").chars() {
+        if letter.is_uppercase() && !name.is_empty() {
+            name.push('-');
+        }
+        name.extend(letter.to_lowercase());
+    }
+    name
+}
+
+/// Name and unit of every channel.
+fn channels(config: &Config) -> Vec<Value> {
+    let acquisition = &config.acquisition;
+    let unit = acquisition.unit.clone().or_else(|| match acquisition.source {
+        Source::Simulate => acquisition.simulate.read_profile().ok().map(|profile| profile.unit),
+        Source::Replay => Some(acquisition.recording_unit()).filter(|unit| !unit.is_empty()),
+        _ => None,
+    });
+    let names = match acquisition.source {
+        Source::Simulate => None,
+        Source::Replay => acquisition.replay.channels.as_ref(),
+        _ => acquisition.channel_selection.as_ref(),
+    };
+    let name = |channel: usize| {
+        let name = names.and_then(|names| names.get(channel));
+        name.map_or_else(|| channel.to_string(), |name| name.name())
+    };
+    (0..acquisition.channels).map(|channel| json!({"name": name(channel), "unit": unit})).collect()
+}
+
+fn mode(mode: &Mode) -> Value {
+    let motion = |action: &Action| match action {
+        Action::Nothing => "none".to_owned(),
+        Action::Gripper => "gripper".to_owned(),
+        Action::NextMode => "next-mode".to_owned(),
+        Action::Move(motion) => motion.direction.to_string(),
+    };
+    let motions: serde_json::Map<String, Value> = mode
+        .actions
+        .iter()
+        .map(|(gesture, action)| (gesture.name().to_owned(), motion(action).into()))
+        .collect();
+    json!({"name": mode.name, "motions": motions})
+}
+
+fn summary(name: &str, histogram: &Histogram<u64>) -> Value {
+    let LatencySummary { count, p50_us, p99_us, .. } = LatencySummary::of(histogram);
+    let buckets: Vec<(f64, u64)> = histogram
+        .iter_log(FIRST_EDGE_NS, EDGE_RATIO)
+        .map(|step| (step.value_iterated_to() as f64 / 1e3, step.count_since_last_iteration()))
+        .filter(|(_, count)| *count > 0)
+        .collect();
+    json!({"name": name, "count": count, "p50_us": p50_us, "p99_us": p99_us, "buckets": buckets})
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_words_and_an_arm_that_says_nothing_is_not_shown() {
+        let config = Config::default();
+        let mut view = View::new(&config);
+        let traces = Traces::new(&config).unwrap();
+        assert_eq!(view.now(0, &traces), None);
+        let mut header = StateHeader {
+            permission: Permission::AwaitRest.number(),
+            stop_reason: StopReason::NoCommands.number(),
+            arm_phase: ArmPhase::GoingToStart.number(),
+            hindrance: Hindrance::JointSpeed.number(),
+            gripper_position: f32::NAN,
+            gesture: 1,
+            ..StateHeader::default()
+        };
+        let payload: Vec<f32> = (0..13u8).map(f32::from).collect();
+        view.state(&header, &payload);
+        view.prediction(0.5, &[0.25, 0.75, 0.5, 1.0]);
+        let state = view.now(5, &traces).unwrap();
+        let expected = json!({
+            "permission": "await-rest", "stop_reason": "no-commands", "phase": "going-to-start",
+            "hindrance": "a joint cannot go faster", "gripper": null, "gesture": "extension",
+            "joints_rad": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "position_mm": [7.0, 8.0, 9.0],
+            "orientation_rad": [10.0, 11.0, 12.0], "probabilities": [0.25, 0.75], "efforts": [0.5, 1.0],
+        });
+        for (key, value) in expected.as_object().unwrap() {
+            assert_eq!(&state[key], value, "{key}");
+        }
+        // What no sender of ours writes.
+        (header.gesture, header.stop_reason, header.permission) = (200, 200, 200);
+        view.state(&header, &payload);
+        let state = view.now(5, &traces).unwrap();
+        assert_eq!((&state["gesture"], &state["stop_reason"]), (&Value::Null, &Value::Null));
+        assert_eq!(state["permission"], "stopped");
+        view.state(&header, &payload[..5]);
+        assert_eq!(view.now(5, &traces), None);
+    }
+
+    #[test]
+    fn hello_tells_what_gestures_do_and_how_the_arm_is_built() {
+        let hello = View::new(&Config::default()).hello(7, 8.0);
+        assert_eq!(hello["modes"][0]["motions"]["extension"], "+z");
+        assert_eq!(hello["channels"].as_array().unwrap().len(), 4);
+        assert_eq!(hello["gestures"][0], "rest");
+        let joints = hello["arm"]["joints"].as_array().unwrap();
+        let offsets: Vec<f64> = joints.iter().map(|joint| joint["d_mm"].as_f64().unwrap().round()).collect();
+        assert_eq!(offsets, [267.0, 0.0, 293.0, 0.0, 343.0, 0.0, 97.0]);
+    }
+
+    #[test]
+    fn a_histogram_keeps_its_count_in_few_buckets() {
+        let mut histogram = tendon_report::duration_histogram();
+        for value in 1..=5000 {
+            histogram.record(value * 997).unwrap();
+        }
+        let summary = summary("hop", &histogram);
+        let buckets = summary["buckets"].as_array().unwrap();
+        assert_eq!(buckets.iter().map(|bucket| bucket[1].as_u64().unwrap()).sum::<u64>(), 5000);
+        assert!((10..60).contains(&buckets.len()), "{}", buckets.len());
+    }
+}

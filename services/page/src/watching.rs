@@ -1,0 +1,188 @@
+//! The thread that looks at a session's topics. Nobody waits for it: not the stages, and not it for a browser.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, ensure};
+use axum::body::Bytes;
+use axum::extract::ws::Utf8Bytes;
+use serde_json::{Value, json};
+use tendon_config::Config;
+use tendon_messages::{
+    BLOCKS, BlockHeader, COMMANDS, CommandHeader, MEASUREMENTS, Measurement, MeasurementHeader, PREDICTIONS,
+    PredictionHeader, STATES, StateHeader,
+};
+use tendon_transport::{Delivery, PolledSubscriber, Session, SessionName, now_ns, own_user};
+use tokio::sync::{broadcast, watch};
+
+use crate::traces::Traces;
+use crate::view::View;
+
+/// Time between two looks at the topics: four to a frame. The states of a moving arm come every 4 ms, and eight are kept.
+const LOOK: Duration = Duration::from_micros(8_333);
+/// Time between two frames.
+const FRAME: Duration = Duration::from_micros(33_333);
+/// Time between two summaries of latencies, and two looks whether the session runs.
+const SUMMARY: Duration = Duration::from_secs(1);
+/// Time between two looks for a session that is to come.
+const SESSION_LOOK: Duration = Duration::from_millis(200);
+/// Updates that are kept for a slow viewer, a third of a second; what is older it never sees.
+const UPDATES: usize = 20;
+
+/// What all viewers are told.
+#[derive(Clone, Debug)]
+pub enum Update {
+    /// A state, or latencies.
+    Text(Utf8Bytes),
+    /// Bins of the signal.
+    Frame(Bytes),
+}
+
+/// Where the viewers listen.
+#[derive(Debug)]
+pub struct Audience {
+    /// The session's facts; `None` before there is one.
+    pub hello: watch::Sender<Option<Value>>,
+    /// What happens in it.
+    pub updates: broadcast::Sender<Update>,
+}
+
+impl Audience {
+    /// Without viewers.
+    pub fn new() -> Audience {
+        Audience { hello: watch::Sender::new(None), updates: broadcast::Sender::new(UPDATES) }
+    }
+
+    fn tell(&self, name: &str, what: Value) {
+        // Nobody need listen.
+        let _ = self.updates.send(Update::Text(json!({ name: what }).to_string().into()));
+    }
+}
+
+/// Whose session is watched.
+#[derive(Debug)]
+pub enum Watched {
+    /// The one that started this program. When it ends, this ends.
+    Given(Box<Config>),
+    /// Whichever has this name, one after the other.
+    Named(SessionName),
+}
+
+impl Watched {
+    /// The session's name.
+    pub fn name(&self) -> &SessionName {
+        match self {
+            Watched::Given(config) => &config.session,
+            Watched::Named(name) => name,
+        }
+    }
+}
+
+/// Watches until `stop`, or the session that was given has ended.
+pub fn watch(watched: &Watched, audience: &Audience, stop: &Arc<AtomicBool>) -> anyhow::Result<()> {
+    match watched {
+        Watched::Given(config) => watch_session(config, audience, stop),
+        Watched::Named(name) => {
+            while !stop.load(Ordering::Relaxed) {
+                match name.configuration()? {
+                    Some(text) => {
+                        let config =
+                            Config::parse(&text, std::path::Path::new("the session's configuration"))?;
+                        watch_session(&config, audience, stop)?;
+                    }
+                    None => std::thread::sleep(SESSION_LOOK),
+                }
+            }
+            Ok(())
+        }
+    }
+}
+
+fn watch_session(config: &Config, audience: &Audience, stop: &AtomicBool) -> anyhow::Result<()> {
+    ensure!(
+        config.delivery() == Delivery::Live,
+        "session `{}` runs as fast as it can: the page shows sessions in the arm's own time only",
+        config.session
+    );
+    let supervisor = || config.session.supervisor(own_user()).map(|holder| holder.process_id);
+    let Some(process_id) = supervisor() else { return Ok(()) };
+    let mut topics = Topics::open(config)?;
+    let (mut view, mut traces) = (View::new(config), Traces::new(config)?);
+    audience.hello.send_replace(Some(view.hello(now_ns(), traces.bin_ms())));
+    let begun = Instant::now();
+    let (mut next_frame, mut next_summary) = (begun, begun);
+    while !stop.load(Ordering::Relaxed) {
+        topics.take(&mut view, &mut traces)?;
+        let now = Instant::now();
+        if now >= next_frame {
+            // Frames that were missed are not made up for.
+            next_frame = (next_frame + FRAME).max(now - FRAME);
+            let frame = traces.frame();
+            if audience.updates.receiver_count() > 0 {
+                if let Some(frame) = frame {
+                    let _ = audience.updates.send(Update::Frame(frame.into()));
+                }
+                if let Some(state) = view.now(now_ns(), &traces) {
+                    audience.tell("state", state);
+                }
+            }
+        }
+        if now >= next_summary {
+            next_summary = now + SUMMARY;
+            view.is_recorded = tendon_process::is_recorded(&config.session);
+            audience.tell("latency", view.latency());
+            if supervisor() != Some(process_id) {
+                return Ok(());
+            }
+        }
+        std::thread::sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// The topics of a session, without wake-ups.
+struct Topics {
+    blocks: PolledSubscriber<BlockHeader, f32>,
+    predictions: PolledSubscriber<PredictionHeader, f32>,
+    commands: PolledSubscriber<CommandHeader, f32>,
+    states: PolledSubscriber<StateHeader, f32>,
+    measurements: PolledSubscriber<MeasurementHeader, Measurement>,
+    // Ports close before the membership they belong to.
+    _session: Session,
+}
+
+impl Topics {
+    fn open(config: &Config) -> anyhow::Result<Topics> {
+        let session = Session::join(&config.session, "page")?;
+        Ok(Topics {
+            blocks: PolledSubscriber::open(&session, &BLOCKS, Delivery::Live)?,
+            predictions: PolledSubscriber::open(&session, &PREDICTIONS, Delivery::Live)?,
+            commands: PolledSubscriber::open(&session, &COMMANDS, Delivery::Live)?,
+            states: PolledSubscriber::open(&session, &STATES, Delivery::Live)?,
+            measurements: PolledSubscriber::open(&session, &MEASUREMENTS, Delivery::Live)?,
+            _session: session,
+        })
+    }
+
+    /// Takes all that has come.
+    fn take(&mut self, view: &mut View, traces: &mut Traces) -> anyhow::Result<()> {
+        while let Some(block) = self.blocks.receive().context("blocks")? {
+            view.block(block.header());
+            traces.take(block.header(), block.payload())?;
+        }
+        while let Some(prediction) = self.predictions.receive().context("predictions")? {
+            view.prediction(prediction.header().novelty, prediction.payload());
+        }
+        while let Some(command) = self.commands.receive().context("commands")? {
+            view.command(command.header());
+        }
+        while let Some(state) = self.states.receive().context("states")? {
+            view.state(state.header(), state.payload());
+        }
+        while let Some(batch) = self.measurements.receive().context("measurements")? {
+            view.measured(batch.header(), batch.payload());
+        }
+        Ok(())
+    }
+}

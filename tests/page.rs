@@ -1,0 +1,205 @@
+//! The page of a session, as a browser and as somebody who means harm see it.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may do what tests may")]
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use nix::sys::signal::Signal;
+use serde_json::{Value, json};
+use tendon_system_tests::{Tendon, TendonBuilder, unique_session, wait_until};
+use tungstenite::client::IntoClientRequest;
+use tungstenite::http::HeaderValue;
+use tungstenite::{Error, Message, WebSocket};
+
+/// A page that was started, by the addresses that it printed.
+struct Page {
+    address: SocketAddr,
+    orders: String,
+    watch: String,
+}
+
+impl Page {
+    fn of(tendon: &Tendon) -> Page {
+        let link = |start: &str| {
+            let link = wait_until("the page's address", || {
+                let errors = tendon.errors_so_far();
+                errors.lines().find_map(|line| line.strip_prefix(start).map(str::to_owned))
+            });
+            let (address, token) = link.trim_start_matches("http://").split_once("/#").unwrap();
+            (address.to_owned(), token.to_owned())
+        };
+        let ((address, orders), (_, watch)) = (link("page: "), link("page, to watch only: "));
+        Page { address: address.parse().unwrap(), orders, watch }
+    }
+
+    /// A request to become a viewer, with headers of one's own.
+    fn request(&self, token: &str, headers: &[(&'static str, &str)]) -> Result<Viewer, Error> {
+        let mut request = format!("ws://{}/ws?token={token}", self.address).into_client_request().unwrap();
+        for (name, value) in headers {
+            request.headers_mut().insert(*name, HeaderValue::from_str(value).unwrap());
+        }
+        let stream = TcpStream::connect(self.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => Ok(Viewer(socket)),
+            Err(tungstenite::HandshakeError::Failure(error)) => Err(error),
+            Err(tungstenite::HandshakeError::Interrupted(_)) => panic!("no answer"),
+        }
+    }
+
+    fn status(&self, token: &str, headers: &[(&'static str, &str)]) -> u16 {
+        match self.request(token, headers) {
+            Ok(_) => 101,
+            Err(Error::Http(response)) => response.status().as_u16(),
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    /// The first line of the answer to a plain request.
+    fn plain(&self, request: &str) -> String {
+        let mut stream = TcpStream::connect(self.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = [0; 64];
+        let length = stream.read(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer[..length]).lines().next().unwrap_or_default().to_owned()
+    }
+}
+
+struct Viewer(WebSocket<TcpStream>);
+
+impl Viewer {
+    /// The next text under this name for which `is_it` holds.
+    fn next(&mut self, name: &str, is_it: impl Fn(&Value) -> bool) -> Value {
+        wait_until(name, || match self.0.read().unwrap() {
+            Message::Text(text) => {
+                let said: Value = serde_json::from_str(&text).unwrap();
+                said.get(name).filter(|said| is_it(said)).cloned()
+            }
+            _ => None,
+        })
+    }
+
+    /// First bin and number of bins of the next frame.
+    fn frame(&mut self) -> (u64, u32) {
+        wait_until("a frame", || match self.0.read().unwrap() {
+            Message::Binary(frame) => {
+                assert_eq!(&frame[..4], b"TEMG");
+                let bins = u32::from_le_bytes(frame[28..32].try_into().unwrap());
+                Some((u64::from_le_bytes(frame[8..16].try_into().unwrap()), bins))
+            }
+            _ => None,
+        })
+    }
+
+    /// The state after all that was said before.
+    fn state_now(&mut self) -> Value {
+        self.say(&json!({"ping": {"t": -1.0}}));
+        self.next("pong", |pong| pong["t"] == -1.0);
+        self.next("state", |_| true)
+    }
+
+    fn say(&mut self, what: &Value) {
+        self.0.send(Message::text(what.to_string())).unwrap();
+    }
+
+    /// Whether the server ends the connection, whatever comes before.
+    fn is_left(&mut self) -> bool {
+        loop {
+            match self.0.read() {
+                Ok(_) => {}
+                Err(Error::Io(error)) if error.kind() == ErrorKind::WouldBlock => return false,
+                Err(_) => return true,
+            }
+        }
+    }
+}
+
+#[test]
+fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
+    let mut tendon = TendonBuilder::run(&unique_session())
+        .args(&["--page", "--page-port", "0", "--set", "acquisition.simulate.script=\"rest 60s\""])
+        .start();
+    tendon.wait_until_running();
+    let page = Page::of(&tendon);
+    let mut viewer = page.request(&page.orders, &[]).unwrap();
+    let hello = viewer.next("hello", |_| true);
+    assert_eq!(
+        (&hello["rights"], &hello["session"]),
+        (&json!("orders"), &json!(tendon.session().to_string()))
+    );
+    let (first, bins) = viewer.frame();
+    assert_eq!(viewer.frame().0, first + u64::from(bins));
+    viewer.say(&json!({"ping": {"t": 1.5}}));
+    assert_eq!(viewer.next("pong", |_| true)["t"], 1.5);
+    viewer.next("state", |state| state["permission"] == "granted");
+
+    assert_hostile_requests_do_nothing(&page);
+    assert_eq!(viewer.state_now()["permission"], "granted");
+
+    viewer.say(&json!({"order": {"id": 7, "what": "stop"}}));
+    let answer = viewer.next("answer", |_| true);
+    assert_eq!((&answer["id"], &answer["order"], &answer["ok"]), (&json!(7), &json!("stop"), &json!(true)));
+    viewer.next("state", |state| state["permission"] == "stopped" && state["stop_reason"] == "ordered");
+    viewer.say(&json!({"order": {"id": 8, "what": "arm"}}));
+    assert_eq!(viewer.next("answer", |_| true)["ok"], true);
+    viewer.next("state", |state| state["permission"] == "granted");
+
+    // Those who only watch, and those for whom there is no seat.
+    let seat = || wait_until("a seat", || page.request(&page.watch, &[]).ok());
+    let mut watchers: Vec<Viewer> = std::iter::repeat_with(seat).take(7).collect();
+    assert_eq!(page.status(&page.watch, &[]), 503);
+    watchers[0].say(&json!({"order": {"id": 9, "what": "stop"}}));
+    assert_eq!(watchers[0].next("answer", |_| true)["ok"], false);
+    assert_eq!(viewer.state_now()["permission"], "granted");
+
+    tendon.signal(Signal::SIGTERM);
+    let ended = tendon.end();
+    let report = ended.report();
+    assert!(!ended.errors.contains("goes on without it"), "{ended:?}");
+    assert_eq!(report.restarts, 0, "{report:?}");
+}
+
+/// 200 requests that no page of ours sends.
+fn assert_hostile_requests_do_nothing(page: &Page) {
+    let stop = json!({"order": {"id": 1, "what": "stop"}}).to_string();
+    let (host, token) = (page.address.to_string(), page.orders.clone());
+    for _ in 0..20 {
+        assert_eq!(page.status("", &[]), 401);
+        assert_eq!(page.status(&token[1..], &[]), 401);
+        assert_eq!(page.status(&token, &[("origin", "http://example.org")]), 403);
+        assert_eq!(page.status(&token, &[("origin", "null")]), 403);
+        assert_eq!(page.status(&token, &[("host", "example.org")]), 403);
+        let posted = page.plain(&format!(
+            "POST /ws?token={token} HTTP/1.1\r\nHost: {host}\r\nContent-Length: {}\r\n\r\n{stop}",
+            stop.len()
+        ));
+        assert!(posted.starts_with("HTTP/1.1 405"), "{posted}");
+        let torn = page.plain("GET /ws HTTP/1.1\r\nHost\r\n\r\n");
+        assert!(torn.starts_with("HTTP/1.1 400"), "{torn}");
+    }
+    for round in 0..20 {
+        let enter = || wait_until("a seat", || page.request(&page.orders, &[]).ok());
+        let mut oversized = enter();
+        // The other side may be gone before all of it is sent.
+        let _ = oversized.0.send(Message::text(" ".repeat(5000) + &stop));
+        assert!(oversized.is_left(), "oversized");
+        let mut torn = enter();
+        // A frame of an order without the mask that every browser sends, or the head of one of a kind and a length that there are not.
+        let frame = if round % 2 == 0 {
+            [&[0x81, stop.len() as u8], stop.as_bytes()].concat()
+        } else {
+            vec![0xff; 16]
+        };
+        torn.0.get_mut().write_all(&frame).unwrap();
+        assert!(torn.is_left(), "torn");
+        let mut flood = enter();
+        for t in 0..200 {
+            if flood.0.send(Message::text(json!({"ping": {"t": t}}).to_string())).is_err() {
+                break;
+            }
+        }
+        assert!(flood.is_left(), "flood");
+    }
+}
