@@ -73,7 +73,8 @@ impl Place {
         };
         for entry in entries {
             let entry = entry.map_err(|reason| DatasetError::Write { path: self.out.clone(), reason })?;
-            if !ALL.iter().any(|name| entry.file_name() == *name) {
+            let name = entry.file_name();
+            if !ALL.iter().any(|part| name == *part) && !tendon_output::is_temporary(&name) {
                 return Err(DatasetError::OtherFiles { path: entry.path(), out_dir: self.out.clone() });
             }
         }
@@ -89,10 +90,11 @@ impl Place {
     pub(crate) fn make(&self) -> Result<(), DatasetError> {
         let write_error = |reason| DatasetError::Write { path: self.unfinished.clone(), reason };
         fs::create_dir_all(&self.unfinished).map_err(write_error)?;
-        if !self.unfinished.join(PROGRESS).exists() {
-            remove_files(&self.unfinished).map_err(write_error)?;
+        if self.unfinished.join(PROGRESS).exists() {
+            remove_temporary(&self.unfinished).map_err(write_error)
+        } else {
+            remove_files(&self.unfinished).map_err(write_error)
         }
-        Ok(())
     }
 
     /// Puts the data set, which is complete, where it shall stand, and removes the one that stood there.
@@ -132,7 +134,19 @@ fn check_files(folder: &Path) -> Result<(), DatasetError> {
 }
 
 fn remove_files(folder: &Path) -> io::Result<()> {
-    ALL.iter().try_for_each(|name| remove_file(&folder.join(name)))
+    ALL.iter().try_for_each(|name| remove_file(&folder.join(name)))?;
+    remove_temporary(folder)
+}
+
+/// Removes what a build left that was killed while it wrote a file.
+fn remove_temporary(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if tendon_output::is_temporary(&entry.file_name()) {
+            remove_file(&entry.path())?;
+        }
+    }
+    Ok(())
 }
 
 fn remove_file(path: &Path) -> io::Result<()> {
@@ -210,12 +224,12 @@ mod tests {
         let out = folder.path().join("windows");
         let place = Place::check(&out, false).unwrap();
         // Killed while it was built.
-        write(place.unfinished(), &[PROGRESS, "windows.npy"]);
+        write(place.unfinished(), &[PROGRESS, "windows.npy", ".tendon-a1b2c3"]);
         place.make().unwrap();
         assert_eq!(names(place.unfinished()), [PROGRESS, "windows.npy"]);
         // Killed after the exchange: the old data set is left, and the new one still has its progress.
         fs::remove_file(place.unfinished().join(PROGRESS)).unwrap();
-        write(&out, &[MANIFEST, PROGRESS]);
+        write(&out, &[MANIFEST, PROGRESS, ".tendon-a1b2c3"]);
         let place = Place::check(&out, true).unwrap();
         place.make().unwrap();
         assert!(names(place.unfinished()).is_empty());

@@ -11,6 +11,7 @@
 //! as /dev/stdout, are written to directly.
 #![forbid(unsafe_code)]
 
+use std::ffi::OsStr;
 use std::fmt::{self, Display};
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, BufWriter, Write};
@@ -260,7 +261,7 @@ impl OutputFile {
     /// A temporary file beside the target, gone when dropped.
     fn temporary(&self) -> Result<NamedTempFile, OutputError> {
         tempfile::Builder::new()
-            .prefix(".tendon-")
+            .prefix(TEMPORARY)
             .permissions(Permissions::from_mode(self.mode))
             .tempfile_in(self.folder())
             .map_err(|source| self.error(source))
@@ -269,6 +270,14 @@ impl OutputFile {
     fn error(&self, source: io::Error) -> OutputError {
         OutputError::Write { path: self.path.clone(), source }
     }
+}
+
+/// What the name of a temporary file begins with.
+const TEMPORARY: &str = ".tendon-";
+
+/// Whether a file of this name is a temporary one of this crate: a program that is killed while it writes leaves it.
+pub fn is_temporary(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(TEMPORARY.as_bytes())
 }
 
 /// Opens a device or a pipe. A named pipe that nobody reads is refused at once: waiting for its reader would keep the
