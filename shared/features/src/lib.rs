@@ -17,7 +17,7 @@
 //!
 //! # What a window costs
 //!
-//! p50 of windows of 300 ms, four pieces, at 2000 Hz on an AMD EPYC (`--example work`, release build), in µs:
+//! p50 of windows of 300 ms, four pieces, at 2000 Hz on an AMD EPYC (`--example window`, release build), in µs:
 //!
 //! | channels x delays | features | alone | in a stream, every 25 ms | posterior | distance | fit (ms) |
 //! | --- | --- | --- | --- | --- | --- | --- |

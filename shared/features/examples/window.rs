@@ -1,4 +1,4 @@
-//! How long one window takes: `cargo run --release -p tendon-features --example work`.
+//! How long one window takes: `cargo run --release -p tendon-features --example window`.
 #![allow(clippy::print_stdout)]
 
 use std::hint::black_box;
