@@ -81,7 +81,7 @@ export class Actions {
 
   /** Single keys make gestures, as in the terminal, wherever nothing is typed. */
   pressed(event) {
-    if (!this.desk?.can?.gestures || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (!this.can.gestures || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
     if (event.target instanceof HTMLInputElement) return;
     const gesture = this.keys.get(event.key.toLowerCase());
     if (gesture !== undefined) this.make(gesture);
@@ -120,6 +120,12 @@ export class Actions {
     this.requests.ask("note", { note }, { words: text("do.note", { note }), done });
   }
 
+  /** What this page may do now. */
+  get can() {
+    const { hello, desk } = this;
+    return hello?.rights === "orders" && hello.kind !== "calibration" ? (desk?.can ?? {}) : {};
+  }
+
   get recording() {
     return this.desk?.recording ?? null;
   }
@@ -144,9 +150,9 @@ export class Actions {
   }
 
   refresh() {
-    const { requests, hello, desk, state } = this;
+    const { requests, hello, state } = this;
     if (hello === null) return;
-    const can = hello.rights === "orders" && hello.kind !== "calibration" ? (desk?.can ?? {}) : {};
+    const { can } = this;
     const mayAnything = can.record || can.next || can.gestures || can.mode;
     byId("actions").hidden = !mayAnything;
     byId("record").hidden = byId("note").hidden = !can.record && this.recording === null;

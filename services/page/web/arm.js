@@ -130,10 +130,11 @@ export class ArmView {
     this.drawFloor(min, max);
     this.drawBox(min, max);
     if (!state || !this.isKnown) return;
-    const zone = zoneOf(this.desk, state);
-    if (zone) this.drawZone(zone, isInZone(zone, state.position_mm));
     this.drawPath();
     this.drawArm(state);
+    // Above the arm, which would hide the target that it is in.
+    const zone = zoneOf(this.desk, state);
+    if (zone) this.drawZone(zone, isInZone(zone, state.position_mm));
   }
 
   /** The projection that shows the workspace box and the arm's base as large as the canvas lets it. */

@@ -20,13 +20,18 @@ const MARKED_SHARE = 0.1;
 
 const byId = (id) => document.getElementById(id);
 const percent = (share) => text("percent", { value: number(share === null ? null : 100 * share) });
+const capital = (words) => words.slice(0, 1).toUpperCase() + words.slice(1);
 const gradeOf = (accuracy) => GRADES.find(([least]) => accuracy >= least)?.[1] ?? "poor";
 
 /** The large line of a calibration; `calibration` is null until the desk has come. */
 export function calibrationStanding(calibration) {
   if (calibration === null) return standing("away", "calibration-opening");
   const { name, phase, ask, gesture, trouble, error, report } = calibration;
-  const places = { name, gesture: gesture == null ? "" : gestureName(gesture), seconds: calibration.countdown_s };
+  const places = {
+    name,
+    gesture: gesture == null ? "" : capital(gestureName(gesture)),
+    seconds: calibration.countdown_s,
+  };
   if (phase === "fitting") return standing("wait", "fitting", places);
   if (phase === "failed") return { tone: "stop", title: text("not-calibrated", places), detail: error ?? "" };
   if (phase === "stopped") return { tone: "stop", title: text("calibration-stopped", places), detail: error ?? "" };
@@ -103,7 +108,6 @@ export class Calibration {
     this.refreshOrders();
     if (calibration === null) return;
     if (isCue) this.showCue();
-    this.showTrouble(isCue ? calibration.trouble : null);
     byId("progress-done").style.transform = `scaleX(${calibration.progress ?? 0})`;
     const isFitting = calibration.phase === "fitting";
     show(
@@ -116,7 +120,7 @@ export class Calibration {
   }
 
   showCue() {
-    const { gesture, repetition, repetitions, countdown_s: countdown, ask, left_s: left } = this.calibration;
+    const { gesture, repetition, repetitions, countdown_s: countdown, ask, left_s: left, trouble } = this.calibration;
     const isRest = ask === "relax" && countdown == null;
     // While the muscles are to be loose the drawing is that of rest; what comes next is named beside it.
     const href = `#hand-${isRest ? "rest" : drawingOf(gesture)}`;
@@ -124,7 +128,7 @@ export class Calibration {
     if (use.getAttribute("href") !== href) use.setAttribute("href", href);
     byId("cue").dataset.ask = ask;
     const name = gesture == null ? "–" : gestureName(gesture);
-    const isNext = ask !== "hold" && gesture != null;
+    const isNext = ask !== "hold" && gesture != null && !trouble;
     show(byId("cue-gesture"), isNext ? text("cue-next", { gesture: name }) : name);
     show(byId("cue-repetition"), repetitions > 1 ? text("cue-repetition", { repetition, repetitions }) : "");
     const isLeft = ask === "hold" && Number.isFinite(left);
@@ -145,12 +149,6 @@ export class Calibration {
     const step = (share) => percent(Number.isFinite(share) ? Math.round(10 * within(share)) / 10 : null);
     const label = text("effort-label", { made: step(made), asked: step(asked) });
     if (byId("effort").getAttribute("aria-label") !== label) byId("effort").setAttribute("aria-label", label);
-  }
-
-  showTrouble(trouble) {
-    const place = byId("calibration-trouble");
-    place.hidden = !trouble;
-    show(place, trouble ?? "");
   }
 
   /** The buttons of what may be done now, anew only when that changes: the focus stays where it is. */
@@ -202,26 +200,18 @@ export class Calibration {
 
   head(report) {
     const accuracy = report.expected_accuracy ?? null;
-    const parts = [
-      element("p", { className: "accuracy", words: percent(accuracy) }),
-      element("div", {
-        children: [
-          element("p", {
-            className: "grade",
-            words: text(accuracy === null ? "expected-unknown" : `grade.${gradeOf(accuracy)}`),
-          }),
-          element("p", { className: "facts", words: text("expected-is") }),
-        ],
-      }),
-    ];
+    const words = element("div", {
+      children: [
+        element("p", { className: "expected", words: text(accuracy === null ? "expected-unknown" : "expected-is") }),
+      ],
+    });
     if (report.check) {
       const { before, after } = report.check;
-      const words =
-        before == null
-          ? text("check-after", { after: percent(after) })
-          : text("check-before-after", { before: percent(before), after: percent(after) });
-      parts.push(element("p", { className: "checked", words }));
+      const key = before == null ? "check-after" : "check-before-after";
+      const places = { before: percent(before ?? null), after: percent(after) };
+      words.append(element("p", { className: "checked", words: text(key, places) }));
     }
+    const parts = [element("p", { className: "accuracy", words: percent(accuracy) }), words];
     return element("div", { className: "report-head", children: parts });
   }
 
