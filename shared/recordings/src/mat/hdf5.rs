@@ -21,6 +21,7 @@ mod group;
 mod header;
 #[cfg(test)]
 mod tests;
+mod tree;
 
 use std::io::{Read, Seek, SeekFrom};
 

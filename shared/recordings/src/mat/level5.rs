@@ -120,7 +120,13 @@ impl Variable {
             16 => Some("a function handle"),
             _ => Some("of a class that is not known"),
         };
-        Ok(Some(Variable { name, other: other.map(str::to_owned), rows, columns, place: Place::Element(position) }))
+        Ok(Some(Variable {
+            name,
+            other: other.map(str::to_owned),
+            rows,
+            columns,
+            place: Place::Element(position),
+        }))
     }
 
     /// Reads the head of an object of a MATLAB class, such as `string` and `datetime`. After the flags, it has three names

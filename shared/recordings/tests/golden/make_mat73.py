@@ -3,7 +3,7 @@
     python make_mat73.py        # NumPy 2, h5py 3.16, hdf5storage 0.2
 
 All hold `data` 6 × 4 (10 row + column + 0.25), `fs` 1259.2593, `iD` 7 and variables that are no matrices. `long`, of the first
-two, is 300 × 3 of whole numbers (row × 7 % 251 - 100 × column), in pieces that do not divide it evenly.
+two, is 300 × 3 of whole numbers (row × 7 % 251 - 100 × column); in the first it lies in pieces that do not divide it evenly.
 """
 
 from pathlib import Path
@@ -26,8 +26,8 @@ def as_matlab(file, name, values, matlab_class, **storage):
     return variable
 
 
-def variables(file):
-    as_matlab(file, "data", data, "double", **({} if file.libver[0] == "latest" else {"chunks": (2, 4), "compression": 3}))
+def variables(file, **storage):
+    as_matlab(file, "data", data, "double", **storage)
     as_matlab(file, "fs", 1259.2593, "double")
     as_matlab(file, "iD", np.uint8(7), "uint8")
     text = as_matlab(file, "units", np.frombuffer("mV".encode("utf-16-le"), "u2")[None, :], "char")
@@ -40,7 +40,7 @@ def variables(file):
 
 
 with h5py.File(here / "matlab73.mat", "w", userblock_size=512) as file:
-    variables(file)
+    variables(file, chunks=(2, 4), compression=3)
     as_matlab(file, "long", long, "int16", chunks=(2, 128), compression=3, shuffle=True, fletcher32=True)
     as_matlab(file, "wide", np.ones((2, 3), "f4"), "single")
     as_matlab(file, "gap", np.array([[1.0, 1.0], [np.nan, 1.0]], "f4"), "single")
@@ -48,7 +48,7 @@ with h5py.File(here / "matlab73.mat", "w", userblock_size=512) as file:
     as_matlab(file, "wave", np.ones((3, 1), [("real", "f8"), ("imag", "f8")]), "double")
     file.create_dataset("partial", shape=(1, 300), dtype="f8", chunks=(1, 128))[0, :128] = 1.0
     file.create_dataset("squeezed", data=np.ones((1, 300)), chunks=(1, 128), compression="lzf")
-    cells = as_matlab(file, "cells", np.array([[file["fs"].ref]], h5py.ref_dtype), "cell")
+    as_matlab(file, "cells", np.array([[file["fs"].ref]], h5py.ref_dtype), "cell")
     head = file.create_group("head")
     head.attrs["MATLAB_class"] = np.bytes_("struct")
     file.create_group("#refs#").create_dataset("a", data=1.0)
@@ -68,5 +68,4 @@ hdf5storage.savemat(
     str(here / "hdf5storage.mat"),
     {"data": data, "fs": 1259.2593, "iD": np.uint8(7), "units": "mV", "long": long, "cells": [1, 2]},
     format="7.3",
-    options=hdf5storage.Options(matlab_compatible=True, compress_size_threshold=1024),
 )

@@ -14,7 +14,7 @@ use std::io::{Read, Seek};
 use super::bytes::Bytes;
 use super::dataset::Dataset;
 use super::filter::{self, Filter};
-use super::group::tree_node;
+use super::tree::{Child, Node};
 use super::{NOT_WRITTEN, Reader, UNDEFINED};
 use crate::mat::problem::{MatError, OTHER_COUNT};
 use crate::mat::variable::Visit;
@@ -127,9 +127,9 @@ impl Chunking {
         chunks: &mut Vec<Chunk>,
     ) -> Result<(), MatError> {
         const KIND: u8 = 1;
-        let (level, children) = tree_node(reader, address, KIND, level, 8 + 8 * (self.rank + 1))?;
-        for (key, child) in children {
-            if let Some(below) = level.checked_sub(1) {
+        let node = Node::read(reader, address, KIND, level, 8 + 8 * (self.rank + 1))?;
+        for Child { key, address: child } in node.children {
+            if let Some(below) = node.level.checked_sub(1) {
                 self.list(reader, child, Some(below), chunks)?;
                 continue;
             }

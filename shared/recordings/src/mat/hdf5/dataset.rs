@@ -4,7 +4,7 @@ use std::io::{Read, Seek};
 
 use super::bytes::Bytes;
 use super::chunks::Chunking;
-use super::filter::{self, Filter};
+use super::filter;
 use super::header::{
     ATTRIBUTE, DATASPACE, DATATYPE, FILTERS, LAYOUT, LINK_INFO, Message, SYMBOL_TABLE, find,
 };
@@ -27,7 +27,9 @@ pub(in crate::mat) struct Dataset {
 #[derive(Clone, Debug)]
 enum Layout {
     Compact(Vec<u8>),
-    Contiguous { address: u64 },
+    Contiguous {
+        address: u64,
+    },
     Chunked(Chunking),
     /// Why the values cannot be read.
     Unknown(&'static str),
@@ -64,8 +66,8 @@ pub(super) fn describe(messages: &[Message]) -> Result<Result<Dataset, String>, 
         Some("function_handle") => return other("a function handle"),
         None if is_group => return other("a structure"),
         Some(
-            "double" | "single" | "logical" | "int8" | "uint8" | "int16" | "uint16" | "int32" | "uint32" | "int64"
-            | "uint64",
+            "double" | "single" | "logical" | "int8" | "uint8" | "int16" | "uint16" | "int32" | "uint32"
+            | "int64" | "uint64",
         )
         | None => {}
         Some(class) => return Ok(Err(format!("of the MATLAB class {class}"))),
@@ -78,7 +80,8 @@ pub(super) fn describe(messages: &[Message]) -> Result<Result<Dataset, String>, 
         Err(COMPOUND) if class.is_some() => return other("a matrix of complex numbers"),
         Err(_) => return other("of a type that is not known"),
     };
-    let is_empty = attribute(messages, b"MATLAB_empty")?.is_some_and(|flag| flag.iter().any(|byte| *byte != 0));
+    let is_empty =
+        attribute(messages, b"MATLAB_empty")?.is_some_and(|flag| flag.iter().any(|byte| *byte != 0));
     let Some(lengths) = dimensions(space)?.filter(|_| !is_empty) else { return other("empty") };
     if lengths.contains(&0) {
         return other("empty");
@@ -177,7 +180,7 @@ impl Layout {
         let filters = find(messages, FILTERS).map_or(Ok(Vec::new()), filter::read)?;
         let mut bytes = find(messages, LAYOUT).ok_or(MatError::Damaged("a variable has no values"))?;
         let version = bytes.u8()?;
-        if !matches!(version, 3 | 4) {
+        if !matches!(version, 3..=5) {
             return Ok(Layout::Unknown("its values lie as in files from before 2005"));
         }
         match bytes.u8()? {
@@ -220,7 +223,8 @@ impl Dataset {
                     let mut row = 0;
                     while row < rows {
                         let count = AT_ONCE.min(rows - row);
-                        let before = (*column as u64).checked_mul(rows).and_then(|values| values.checked_add(row));
+                        let before =
+                            (*column as u64).checked_mul(rows).and_then(|values| values.checked_add(row));
                         let before = before.and_then(|values| values.checked_mul(size)).unwrap_or(UNDEFINED);
                         let values = reader.read(address.saturating_add(before), count * size)?;
                         self.visit_run(*column, &values, visit)?;

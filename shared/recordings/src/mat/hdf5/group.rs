@@ -4,6 +4,7 @@ use std::io::{Read, Seek};
 
 use super::bytes::Bytes;
 use super::header::{LINK, LINK_INFO, Message, SYMBOL_TABLE, find};
+use super::tree::{Child, Node};
 use super::{Reader, UNDEFINED};
 use crate::mat::problem::MatError;
 
@@ -65,10 +66,11 @@ fn symbols<R: Read + Seek>(
     names: &[u8],
     links: &mut Vec<(String, u64)>,
 ) -> Result<(), MatError> {
+    const KIND: u8 = 0;
     const KEY: usize = 8;
-    let (level, children) = tree_node(reader, address, 0, level, KEY)?;
-    for (_, child) in children {
-        if let Some(below) = level.checked_sub(1) {
+    let node = Node::read(reader, address, KIND, level, KEY)?;
+    for Child { address: child, .. } in node.children {
+        if let Some(below) = node.level.checked_sub(1) {
             symbols(reader, child, Some(below), names, links)?;
             continue;
         }
@@ -89,30 +91,4 @@ fn symbols<R: Read + Seek>(
         }
     }
     Ok(())
-}
-
-/// The level of a node of a B-tree of this kind, and its children, each with the key before it, of `key` bytes. The level must
-/// be `level` if that is known: so no tree is endlessly deep.
-pub(super) fn tree_node<R: Read + Seek>(
-    reader: &mut Reader<'_, R>,
-    address: u64,
-    kind: u8,
-    level: Option<u8>,
-    key: usize,
-) -> Result<(u8, Vec<(Vec<u8>, u64)>), MatError> {
-    let head = reader.read(address, 24)?;
-    let mut bytes = Bytes::new(&head);
-    bytes.expect(b"TREE")?;
-    let (own_kind, own_level, count) = (bytes.u8()?, bytes.u8()?, bytes.u16()?);
-    if own_kind != kind || level.is_some_and(|level| level != own_level) {
-        return Err(MatError::Damaged("a part of a tree is none of it"));
-    }
-    let entries = reader.read(address.saturating_add(24), u64::from(count) * (key as u64 + 8))?;
-    let mut bytes = Bytes::new(&entries);
-    let mut children = Vec::new();
-    while !bytes.is_empty() {
-        let before = bytes.take(key)?.to_vec();
-        children.push((before, bytes.u64()?));
-    }
-    Ok((own_level, children))
 }
