@@ -1,4 +1,5 @@
-"""The page in a real browser. `python3 tests/browser/test_page.py` runs it; skipped with a word where no browser is.
+"""The page of made-up sessions in a real browser. `python3 -m unittest discover tests/browser` runs this and test_session.py;
+skipped where no browser is.
 
 TENDON_BROWSER names a browser; TENDON_SCREENSHOTS names a folder that gets a screenshot of each state.
 """
@@ -207,6 +208,9 @@ class InBrowser(unittest.TestCase):
         page.click("#record")
         page.wait_for(f"{ANSWERED} === 'End of the recording: not done. the disk is full' && {name} === '■ Stop recording'")
         self.assertEqual(self.session.requests, [{"record": True}, {"record": False}])
+        # Nobody tells how the session stands any more.
+        self.session.desk = None
+        page.wait_for(f"!({is_shown('#actions')})")
 
     def test_a_note_takes_spaces_and_stop_stays_near(self):
         self.session.desk = {"recording": RECORDING}
