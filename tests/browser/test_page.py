@@ -361,6 +361,23 @@ class InBrowser(unittest.TestCase):
         page.wait_for(f"{TITLE}.startsWith('Following · grip')")
         self.assertEqual(self.session.requests, [])
 
+    def test_everything_is_reached_by_keyboard_and_the_focus_stays(self):
+        self.session.desk = {"recording": RECORDING}
+        page = self.open()
+        page.wait_for(is_shown("#next-open"))
+        reached = []
+        while len(reached) < 60 and "languages" not in reached:
+            page.press("Tab", "Tab", 9)
+            reached.append(page.value("document.activeElement.id || document.activeElement.parentElement.id"))
+        for part in ("arm", "stop", "record", "marker", "note-text", "note-add", "next-open", "modes", "make-gestures",
+                     "arm-canvas", "languages"):
+            self.assertIn(part, reached)
+        # States and desks that come do not take the focus away.
+        self.session.gesture, self.session.desk = "flexion", {}
+        page.wait_for(f"{TITLE}.startsWith('Following · flexion')")
+        page.wait_for("document.querySelector('#record-name').textContent === '● Record'")
+        self.assertEqual(page.value("document.activeElement.parentElement.id"), "languages")
+
     def test_a_tab_that_was_not_seen_catches_up_without_a_burst(self):
         page = self.open()
         page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")

@@ -11,7 +11,7 @@ import unittest
 
 from browser import Browser, find_program
 from programs import ROOT, Emulator, Home, find_programs, wait_until
-from test_page import ANSWERED, IS_LIVE, STOP, TITLE, is_shown
+from test_page import ANSWERED, IS_LIVE, STOP, TITLE
 
 MODES = """
 [[decision.modes]]
@@ -30,7 +30,6 @@ ulnar = "+x"
 radial = "-x"
 grip = "next_mode"
 """
-PRESSED_MODE = "document.querySelector('#modes [aria-pressed=true]')?.textContent"
 #: A loaded machine is slow.
 LIMIT_S = 60.0
 
@@ -50,7 +49,7 @@ class RealSessions(unittest.TestCase):
         (self.home.path / "modes.toml").write_text(MODES)
         settings = arm.settings() if arm else []
         return self.enterContext(self.home.tendon(
-            "run", "--session", self.name, "--config", "modes.toml", "--keyboard", "--strategy", "direct", "--model",
+            "run", "--session", self.name, "--config", "modes.toml", "--strategy", "direct", "--model",
             ROOT / "models/cnn-six-class.onnx", *settings, *words))
 
     def open(self, address, **options):
@@ -67,7 +66,7 @@ class RealSessions(unittest.TestCase):
 
     def test_a_session_is_steered_from_the_page_alone(self):
         arm = self.enterContext(Emulator(find_programs()))
-        tendon = self.run_session("--page", "--page-port", "0", arm=arm)
+        tendon = self.run_session("--keyboard", "--page", "--page-port", "0", arm=arm)
         page = self.open(tendon.line("page: "))
         # A real arm waits to be let go.
         page.wait_for(f"{TITLE} === 'The arm waits'", LIMIT_S)
@@ -90,13 +89,6 @@ class RealSessions(unittest.TestCase):
         page.press_enter()
         page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
 
-        page.click("#modes button:last-child")
-        page.wait_for(f"{PRESSED_MODE} === 'x-z'", LIMIT_S)
-        page.type("u")
-        page.wait_for(f"{TITLE}.startsWith('Following · ulnar: forward')", LIMIT_S)
-        page.type("n")
-        page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
-
         page.click("#record")
         page.wait_for(f"{ANSWERED} === 'Recording: done'", LIMIT_S)
         page.click("#note-text")
@@ -111,7 +103,7 @@ class RealSessions(unittest.TestCase):
         self.assertEqual(tendon.end(), 0)
 
     def test_one_viewer_is_suspended_and_another_sees_the_session_go_on(self):
-        tendon = self.run_session("--page", "--page-port", "0")
+        tendon = self.run_session("--keyboard", "--page", "--page-port", "0")
         first, second = self.open(tendon.line("page: ")), self.open(tendon.line("page, to watch only: "))
         for page in (first, second):
             page.call("Page.bringToFront")
@@ -130,35 +122,17 @@ class RealSessions(unittest.TestCase):
 
     def test_the_page_of_a_session_that_is_started_again_comes_back(self):
         shown = self.enterContext(self.home.tendon("page", "--session", self.name, "--page-port", "0"))
-        before = self.run_session()
+        at_rest = ("--set", 'acquisition.simulate.script="rest 60s"')
+        before = self.run_session(*at_rest)
         page = self.open(shown.line("page: "))
         page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
         self.assertEqual(before.end(), 0)
         page.wait_for(f"!({IS_LIVE})", LIMIT_S)
         self.screenshot(page, "no-session")
-        self.run_session()
+        self.run_session(*at_rest)
         page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest'", LIMIT_S)
         page.press_space()
         page.wait_for(f"{STOP} === 'STOPPED'", LIMIT_S)
-
-    def test_a_stranger_is_calibrated_and_begins_a_session(self):
-        tendon = self.enterContext(self.home.tendon(
-            "calibrate", "anna", "--session", self.name, "--page", "--page-port", "0", "--rest", "2s", "--hold", "2s",
-            "--pause", "1s", "--set", "acquisition.simulate.profile=stranger-19"))
-        page = self.open(tendon.line("page: "))
-        page.wait_for(f"{TITLE} === 'Ready? Press Go on'", LIMIT_S)
-        page.press_enter()
-        page.wait_for(f"{TITLE}.endsWith(': light, firm, light')", LIMIT_S)
-        page.wait_for("Number(document.querySelector('#effort-made').style.transform.slice(7, -1)) > 0.2", LIMIT_S)
-        self.screenshot(page, "calibration")
-        page.wait_for(f"{TITLE} === 'anna is calibrated'", LIMIT_S)
-        page.wait_for("/^\\d+\\u00a0%$/.test(document.querySelector('.accuracy').textContent)")
-        self.screenshot(page, "calibration-report")
-        page.click(".report-orders .begins")
-        page.wait_for(f"{ANSWERED} === 'Session with anna: done' && {IS_LIVE}", LIMIT_S)
-        page.wait_for(is_shown("#stop"))
-        page.wait_for("document.querySelector('#session-facts').textContent.includes('anna')")
-        self.screenshot(page, "session-with-anna")
 
 
 if __name__ == "__main__":
