@@ -59,7 +59,10 @@ fn every_test_that_a_promise_names_exists() {
             continue;
         };
         missing.extend(
-            functions.iter().filter(|name| !has_test(&file, &text, name)).map(|name| format!("{file}: {name}")),
+            functions
+                .iter()
+                .filter(|name| !has_test(&file, &text, name))
+                .map(|name| format!("{file}: {name}")),
         );
     }
     assert!(missing.is_empty(), "docs/promises.md names tests that are not there: {missing:#?}");
@@ -76,5 +79,8 @@ fn a_test_that_is_missing_is_noticed() {
     let text = "#[test]\n#[ignore = \"long\"]\nfn one() {\n}\n\nfn two() {}\n";
     assert_eq!(["one", "two", "three"].map(|name| has_test("a.rs", text, name)), [true, false, false]);
     let text = "class A:\n    def test_one(self):\n        pass\n\n    def two(self):\n";
-    assert_eq!(["test_one", "two", "test_two"].map(|name| has_test("a.py", text, name)), [true, false, false]);
+    assert_eq!(
+        ["test_one", "two", "test_two"].map(|name| has_test("a.py", text, name)),
+        [true, false, false]
+    );
 }
