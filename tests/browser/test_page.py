@@ -1,4 +1,5 @@
-"""The page in a real browser. `python3 tests/browser/test_page.py` runs it; skipped with a word where no browser is.
+"""The page of made-up sessions in a real browser. `python3 -m unittest discover tests/browser` runs this and test_session.py;
+skipped where no browser is.
 
 TENDON_BROWSER names a browser; TENDON_SCREENSHOTS names a folder that gets a screenshot of each state.
 """
@@ -207,6 +208,9 @@ class InBrowser(unittest.TestCase):
         page.click("#record")
         page.wait_for(f"{ANSWERED} === 'End of the recording: not done. the disk is full' && {name} === '■ Stop recording'")
         self.assertEqual(self.session.requests, [{"record": True}, {"record": False}])
+        # Nobody tells how the session stands any more.
+        self.session.desk = None
+        page.wait_for(f"!({is_shown('#actions')})")
 
     def test_a_note_takes_spaces_and_stop_stays_near(self):
         self.session.desk = {"recording": RECORDING}
@@ -356,6 +360,23 @@ class InBrowser(unittest.TestCase):
         self.session.gesture = "grip"
         page.wait_for(f"{TITLE}.startsWith('Following · grip')")
         self.assertEqual(self.session.requests, [])
+
+    def test_everything_is_reached_by_keyboard_and_the_focus_stays(self):
+        self.session.desk = {"recording": RECORDING}
+        page = self.open()
+        page.wait_for(is_shown("#next-open"))
+        reached = []
+        while len(reached) < 60 and "languages" not in reached:
+            page.press("Tab", "Tab", 9)
+            reached.append(page.value("document.activeElement.id || document.activeElement.parentElement.id"))
+        for part in ("arm", "stop", "record", "marker", "note-text", "note-add", "next-open", "modes", "make-gestures",
+                     "arm-canvas", "languages"):
+            self.assertIn(part, reached)
+        # States and desks that come do not take the focus away.
+        self.session.gesture, self.session.desk = "flexion", {}
+        page.wait_for(f"{TITLE}.startsWith('Following · flexion')")
+        page.wait_for("document.querySelector('#record-name').textContent === '● Record'")
+        self.assertEqual(page.value("document.activeElement.parentElement.id"), "languages")
 
     def test_a_tab_that_was_not_seen_catches_up_without_a_burst(self):
         page = self.open()

@@ -73,7 +73,7 @@ export class Calibration {
 
   showDesk(desk) {
     if (!this.isOn) return;
-    this.calibration = desk.calibration;
+    this.calibration = desk?.calibration ?? null;
     this.refresh();
   }
 
