@@ -6,7 +6,10 @@
 
 mod check;
 mod guided;
+mod learnt;
+mod recording;
 mod round;
+mod status;
 mod update;
 
 use std::collections::BTreeMap;
