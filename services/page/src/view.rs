@@ -6,8 +6,6 @@
 //! measurements ──────────────────────────▶ latency   once a second
 //! ```
 
-use std::path::Path;
-
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 use tendon_config::{Config, Source};
@@ -42,8 +40,6 @@ pub struct View {
     /// Process of each stage, and how often it was another one.
     processes: [u64; Stage::ALL.len()],
     restarts: u64,
-    /// Whether a recorder writes.
-    pub is_recorded: bool,
 }
 
 impl View {
@@ -60,7 +56,6 @@ impl View {
             measurements: SessionMeasurements::default(),
             processes: [0; Stage::ALL.len()],
             restarts: 0,
-            is_recorded: false,
         }
     }
 
@@ -97,10 +92,9 @@ impl View {
         }
     }
 
-    /// What does not change as long as the session runs. `rights` is for each viewer to add.
-    pub fn hello(&self, joined_ns: u64, bin_ms: f64) -> Value {
+    /// What does not change as long as the session runs. `rights` is for each viewer to add; `desk` is what the supervisor tells.
+    pub fn hello(&self, joined_ns: u64, bin_ms: f64, desk: &Value) -> Value {
         let Config { acquisition, decision, inference, robot, .. } = &self.config;
-        let stem = |path: &Path| path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let joints = tendon_arm::denavit_hartenberg().map(|joint| {
             json!({"a_mm": joint.a_mm, "d_mm": joint.d_mm, "alpha_rad": joint.alpha_rad, "theta_offset_rad": 0.0})
         });
@@ -109,7 +103,7 @@ impl View {
             "version": env!("CARGO_PKG_VERSION"),
             "started_ns": joined_ns,
             "source": acquisition.source.name(),
-            "person": inference.person.as_deref().and_then(stem),
+            "person": desk["person"],
             "model": inference.model,
             "strategy": decision.strategy.name(),
             "sample_rate_hz": acquisition.sample_rate_hz,
@@ -119,14 +113,14 @@ impl View {
             "workspace_mm": {"min": robot.arm.workspace_min_mm, "max": robot.arm.workspace_max_mm},
             "arm": {"joints": joints},
             "speed_mm_per_s": decision.speed_mm_per_s,
-            "task": false,
+            "task": !desk["task"].is_null(),
             "paper": {"median_ms": PAPER_MEDIAN_MS, "mean_ms": PAPER_MEAN_MS},
             "bin_ms": bin_ms,
         })
     }
 
-    /// The session now; `None` before the arm has said anything.
-    pub fn now(&self, now_ns: u64, traces: &Traces) -> Option<Value> {
+    /// The session now, with what the supervisor tells on its `desk`; `None` before the arm has said anything.
+    pub fn now(&self, now_ns: u64, traces: &Traces, desk: &Value) -> Option<Value> {
         let (header, payload) = self.state.as_ref()?;
         let (joints_rad, position_mm, orientation_rad) =
             (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
@@ -160,8 +154,8 @@ impl View {
             "efforts": self.efforts,
             "mode": header.mode,
             "calibration_left_ms": header.calibration_left_ms,
-            "zone": null,
-            "recording": self.is_recorded.then_some("session.mcap"),
+            "zone": desk["task"]["zone"],
+            "recording": desk["recording"],
             "lost_samples": counts(Stage::Acquisition).lost_samples,
             "lost_blocks": counts(Stage::Dsp).lost,
             "stale": Stage::ALL.into_iter().map(|stage| counts(stage).stale).sum::<u64>(),
@@ -255,7 +249,7 @@ mod tests {
         let config = Config::default();
         let mut view = View::new(&config);
         let traces = Traces::new(&config).unwrap();
-        assert_eq!(view.now(0, &traces), None);
+        assert_eq!(view.now(0, &traces, &Value::Null), None);
         let mut header = StateHeader {
             permission: Permission::AwaitRest.number(),
             stop_reason: StopReason::NoCommands.number(),
@@ -266,14 +260,16 @@ mod tests {
             ..StateHeader::default()
         };
         let payload: Vec<f32> = (0..13u8).map(f32::from).collect();
+        let zone = json!({"center_mm": [1.0, 2.0, 3.0], "width_mm": 20.0});
+        let desk = json!({"recording": "/tmp/session.mcap", "task": {"zone": zone}});
         view.state(&header, &payload);
         view.prediction(0.5, &[0.25, 0.75, 0.5, 1.0]);
-        let state = view.now(5, &traces).unwrap();
+        let state = view.now(5, &traces, &desk).unwrap();
         let expected = json!({
             "permission": "await-rest", "stop_reason": "no-commands", "phase": "going-to-start",
             "hindrance": "a joint cannot go faster", "gripper": null, "gesture": "extension",
             "joints_rad": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "position_mm": [7.0, 8.0, 9.0],
-            "orientation_rad": [10.0, 11.0, 12.0], "probabilities": [0.25, 0.75], "efforts": [0.5, 1.0],
+            "zone": zone, "recording": "/tmp/session.mcap", "orientation_rad": [10.0, 11.0, 12.0], "probabilities": [0.25, 0.75], "efforts": [0.5, 1.0],
         });
         for (key, value) in expected.as_object().unwrap() {
             assert_eq!(&state[key], value, "{key}");
@@ -281,16 +277,17 @@ mod tests {
         // What no sender of ours writes.
         (header.gesture, header.stop_reason, header.permission) = (200, 200, 200);
         view.state(&header, &payload);
-        let state = view.now(5, &traces).unwrap();
+        let state = view.now(5, &traces, &desk).unwrap();
         assert_eq!((&state["gesture"], &state["stop_reason"]), (&Value::Null, &Value::Null));
         assert_eq!(state["permission"], "stopped");
         view.state(&header, &payload[..5]);
-        assert_eq!(view.now(5, &traces), None);
+        assert_eq!(view.now(5, &traces, &desk), None);
     }
 
     #[test]
     fn hello_tells_what_gestures_do_and_how_the_arm_is_built() {
-        let hello = View::new(&Config::default()).hello(7, 8.0);
+        let hello = View::new(&Config::default()).hello(7, 8.0, &json!({"person": "anna"}));
+        assert_eq!((&hello["person"], &hello["task"]), (&json!("anna"), &json!(false)));
         assert_eq!(hello["modes"][0]["motions"]["extension"], "+z");
         assert_eq!(hello["channels"].as_array().unwrap().len(), 4);
         assert_eq!(hello["gestures"][0], "rest");

@@ -13,6 +13,7 @@ mod channels;
 mod checks;
 mod dataset;
 mod delete;
+mod desk;
 mod doctor;
 mod evaluate;
 mod experiments;

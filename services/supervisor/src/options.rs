@@ -208,7 +208,7 @@ pub struct Options {
     /// The simulated person makes random gestures, set by --seed.
     #[arg(long, conflicts_with_all = ["replay", "keyboard"])]
     random: bool,
-    /// The keys say which gesture the simulated person makes.
+    /// The keys, and the buttons of the page, say which gesture the simulated person makes.
     #[arg(long, conflicts_with = "replay")]
     pub keyboard: bool,
     /// Steer the arm into zones and score how it went. With the simulated amplifier and none of --script, --random and

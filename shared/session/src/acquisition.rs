@@ -82,7 +82,14 @@ impl AcquisitionWatch {
                 }
                 Ok(Event::Stop) => return Ok(None),
                 Ok(Event::Ended(stage)) => return Err(self.ended(stage, true)),
-                Ok(Event::Order(..) | Event::GoOn | Event::Redo | Event::Record | Event::Recorder) => {}
+                Ok(
+                    Event::Order(..)
+                    | Event::GoOn
+                    | Event::Redo
+                    | Event::Record
+                    | Event::Recorder
+                    | Event::Request(_),
+                ) => {}
                 Err(_) => {
                     let who = Stage::Acquisition.name().to_owned();
                     return Err(SessionFailure::NotReady { who, timeout: READY_TIMEOUT });
@@ -107,7 +114,7 @@ impl AcquisitionWatch {
             Ok(Event::Redo) => Heard::Redo,
             Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => Heard::Stop,
             Ok(Event::Ended(stage)) => return Err(self.ended(stage, false)),
-            Ok(Event::Order(..) | Event::Ready(..) | Event::Record | Event::Recorder)
+            Ok(Event::Order(..) | Event::Ready(..) | Event::Record | Event::Recorder | Event::Request(_))
             | Err(RecvTimeoutError::Timeout) => Heard::Nothing,
         };
         self.blocks.acknowledge_wakes()?;
