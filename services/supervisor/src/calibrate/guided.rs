@@ -5,7 +5,7 @@
 //! ```
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
@@ -18,21 +18,28 @@ use tendon_people::{People, Person};
 use tendon_process::SignalDescription;
 use tendon_provenance::Provenance;
 use tendon_recordings::{RecordedSession, Recorder};
-use tendon_session::{AcquisitionWatch, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
+use tendon_session::{
+    AcquisitionWatch, Companion, Event, Keyboard, Keys, RobotLine, Writer, stop_on_signals,
+};
 use tendon_transport::{Leftovers, SessionLock};
 
+use super::board::StatusBoard;
 use super::check::{CheckRound, CheckScores};
 use super::learnt::PageReport;
 use super::recording::Recording;
-use super::round::{Live, RoundEnd};
-use super::status::{CalibrationStatus, Phase, StatusBoard};
+use super::round::{Attendance, Live, RoundEnd};
+use super::status::{CalibrationStatus, Phase};
 use super::{Fitted, Selection, fit, report, update};
 use crate::options::duration;
 use crate::personal::{WINDOWS, ask_for, check_simulated, is_simulated, personal_windows};
-use crate::{Failure, TERMINAL_TIMEOUT, checks};
+use crate::{Failure, TERMINAL_TIMEOUT, checks, page};
 
 /// What the keys do.
 const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
+/// What is said while the page shows what came of it.
+const HELD: &str = "the page goes on from here; Ctrl-C ends it";
+/// Time between two looks at the page meanwhile.
+const HOLD_LOOK: Duration = Duration::from_millis(200);
 
 /// What can be said of a guided calibration.
 #[derive(Debug, Args)]
@@ -68,17 +75,61 @@ pub fn calibrate(
     begun: Provenance,
 ) -> Result<(), Failure> {
     let plan = Plan::of(options, people).map_err(Failure::input)?;
+    let session = plan.config.session.clone();
+    let lock = SessionLock::take(&session).map_err(Failure::input)?;
+    Leftovers::remove(&lock, &session);
+    let kept = lock.keep_configuration(&session, &plan.config.to_toml()).map_err(Failure::input);
+    let result = kept.and_then(|()| attend(plan, begun, json));
+    Leftovers::remove(&lock, &session);
+    result
+}
+
+/// Carries out a calibration and says what came of it: on the terminal, and on the page, which stays until somebody ends it.
+fn attend(plan: Plan<'_>, begun: Provenance, json: Option<&OutputFile>) -> Result<(), Failure> {
+    let Plan { options, .. } = plan;
+    checks::shared_memory(&plan.config).map_err(Failure::input)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
-    let board = StatusBoard::new(CalibrationStatus::new(options.name.clone(), plan.guide.repetitions));
-    let learnt = plan.carry_out(begun, &errors, &board);
+    let robot = RobotLine::default();
+    let (sender, events) = channel();
+    stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
+    let status = CalibrationStatus::new(options.name.clone(), plan.guide.repetitions);
+    let board = StatusBoard::open(status, &plan.config, &sender).map_err(Failure::input)?;
+    let has_keys = Keyboard::is_there();
+    let keyboard = has_keys.then(|| Keyboard::listen(&robot, &sender, Keys::Guide));
+    let keyboard = keyboard.transpose().context("keys").map_err(Failure::input)?;
+    let start = || Companion::start(page::PROGRAM, &plan.config, &options.page.arguments(), &errors);
+    let mut page = options.page.page.then(start).transpose().map_err(Failure::running)?;
+    let attendance = Attendance { has_keys, has_page: options.page.takes_orders() };
+    let place = Place { errors: &errors, board: &board, robot: &robot, sender: &sender, events: &events };
+    let learnt = plan.carry_out(begun, &place, attendance);
     show_end(&board, &learnt);
     errors.end_live();
     let _ = errors.finish(TERMINAL_TIMEOUT);
-    match learnt? {
+    let result = learnt.and_then(|learnt| match learnt {
         Some(Learnt { fitted, file, check, begun }) => {
             report(options, &fitted, &file, check.as_ref(), begun, json)
         }
         None => Ok(()),
+    });
+    let Some(page) = page.as_mut().filter(|_| !robot.is_ending()) else { return result };
+    let result = result.map_err(|Failure { error, exit_code }| {
+        errors.say(format!("tendon: error: {error:#}"));
+        Failure { error: anyhow!("{} was not calibrated, as said above", options.name), exit_code }
+    });
+    hold(page, &events, &errors);
+    drop(keyboard);
+    let _ = errors.finish(TERMINAL_TIMEOUT);
+    result
+}
+
+/// Keeps on the page what came of a calibration, until somebody goes on from there or ends it.
+fn hold(page: &mut Companion, events: &Receiver<Event>, errors: &Writer) {
+    errors.say(HELD);
+    loop {
+        match events.recv_timeout(HOLD_LOOK) {
+            Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+            Ok(_) | Err(RecvTimeoutError::Timeout) => page.look(),
+        }
     }
 }
 
@@ -122,8 +173,8 @@ impl Plan<'_> {
     fn carry_out(
         self,
         begun: Provenance,
-        errors: &Writer,
-        board: &StatusBoard,
+        place: &Place<'_>,
+        attendance: Attendance,
     ) -> Result<Option<Learnt>, Failure> {
         let Plan { options, people, config, guide, updated, redone } = self;
         let source = checks::source(&config).map_err(Failure::input)?;
@@ -135,9 +186,9 @@ impl Plan<'_> {
         let updated = updated.as_ref();
         let calibration = Calibration { options, people, config: &config, guide, begun, updated };
         let channels = recording.session().channels.clone();
-        with_source(&config, &channels, (errors, board), |live, signal| {
+        with_source(&config, &channels, place, attendance, |live, signal| {
             let recording = recording.of_signal(signal).map_err(Failure::input)?;
-            calibration.follow(live, recording, errors)
+            calibration.follow(live, recording, place.errors)
         })
     }
 }
@@ -338,38 +389,37 @@ fn check_gestures(before: Option<&Person>, fitted: &Person, folder: &Path) -> an
     Ok(())
 }
 
+/// What a calibration runs in.
+struct Place<'a> {
+    errors: &'a Writer,
+    board: &'a StatusBoard,
+    robot: &'a RobotLine,
+    sender: &'a Sender<Event>,
+    events: &'a Receiver<Event>,
+}
+
 /// Starts the source, lets `work` follow it, and stops it. Gives nothing if somebody said stop before.
 fn with_source<T>(
     config: &Config,
     channels: &[String],
-    (errors, board): (&Writer, &StatusBoard),
+    place: &Place<'_>,
+    attendance: Attendance,
     work: impl FnOnce(&mut Live<'_>, Option<SignalDescription>) -> Result<Option<T>, Failure>,
 ) -> Result<Option<T>, Failure> {
-    let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
-    Leftovers::remove(&lock, &config.session);
-    let result = checks::shared_memory(config).map_err(Failure::input).and_then(|_| {
-        let robot = RobotLine::default();
-        let (sender, events) = channel();
-        stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
-        let has_keys = Keyboard::is_there();
-        let keyboard = has_keys.then(|| Keyboard::listen(&robot, &sender, Keys::Guide));
-        let _keyboard = keyboard.transpose().context("keys").map_err(Failure::input)?;
-        let mut acquisition =
-            AcquisitionWatch::start(config, &robot, (&sender, events), errors).map_err(Failure::input)?;
-        let ready = acquisition.wait_until_ready().map_err(|error| {
-            if error.is_input() { Failure::input(error) } else { Failure::running(error) }
-        })?;
-        let Some(ready) = ready else { return Ok(None) };
-        errors.say(ready.detail);
-        if has_keys {
-            errors.say(KEYS);
-        }
-        let channels = ready.signal.as_ref().map_or(channels, |signal| &signal.channels);
-        let mut live = Live::new(acquisition, config, channels, (errors, board), has_keys)?;
-        let done = work(&mut live, ready.signal);
-        let stopped = live.stop();
-        done.and_then(|done| stopped.map(|()| done))
-    });
-    Leftovers::remove(&lock, &config.session);
-    result
+    let Place { errors, board, robot, sender, events } = *place;
+    let mut acquisition =
+        AcquisitionWatch::start(config, robot, (sender, events), errors).map_err(Failure::input)?;
+    let ready = acquisition
+        .wait_until_ready()
+        .map_err(|error| if error.is_input() { Failure::input(error) } else { Failure::running(error) })?;
+    let Some(ready) = ready else { return Ok(None) };
+    errors.say(ready.detail);
+    if attendance.has_keys {
+        errors.say(KEYS);
+    }
+    let channels = ready.signal.as_ref().map_or(channels, |signal| &signal.channels);
+    let mut live = Live::new(acquisition, config, channels, (errors, board), attendance)?;
+    let done = work(&mut live, ready.signal);
+    let stopped = live.stop();
+    done.and_then(|done| stopped.map(|()| done))
 }

@@ -17,7 +17,8 @@ use tendon_recordings::{RecordedTrial, Recorder, RecorderError};
 use tendon_session::{AcquisitionWatch, Heard, Writer};
 use tendon_transport::Received;
 
-use super::status::{CalibrationStatus, May, Phase, StatusBoard, asked};
+use super::board::StatusBoard;
+use super::status::{CalibrationStatus, May, Phase, asked};
 use crate::Failure;
 
 /// Longest time between two looks at keys and blocks: less than their topic holds.
@@ -38,14 +39,29 @@ pub enum RoundEnd {
     Stopped,
 }
 
+/// Who can be asked.
+#[derive(Clone, Copy, Debug)]
+pub struct Attendance {
+    /// Somebody at the keys.
+    pub has_keys: bool,
+    /// Somebody at the page.
+    pub has_page: bool,
+}
+
+impl Attendance {
+    /// Whether anybody can be asked.
+    fn has_somebody(self) -> bool {
+        self.has_keys || self.has_page
+    }
+}
+
 /// The source that runs, and what is known of its samples.
 pub struct Live<'a> {
-    acquisition: AcquisitionWatch,
+    acquisition: AcquisitionWatch<'a>,
     watch: SignalWatch,
     errors: &'a Writer,
     board: &'a StatusBoard,
-    /// Somebody can be asked.
-    has_keys: bool,
+    attendance: Attendance,
     /// Somebody said stop while nothing could be stopped.
     is_to_stop: bool,
     is_simulated: bool,
@@ -61,11 +77,11 @@ pub struct Live<'a> {
 impl<'a> Live<'a> {
     /// Follows the samples of a source that was started.
     pub fn new(
-        acquisition: AcquisitionWatch,
+        acquisition: AcquisitionWatch<'a>,
         config: &Config,
         channels: &[String],
         (errors, board): (&'a Writer, &'a StatusBoard),
-        has_keys: bool,
+        attendance: Attendance,
     ) -> Result<Live<'a>, Failure> {
         let watch = SignalWatch::new(&config.dsp.filter, channels, config.acquisition.sample_rate_hz);
         Ok(Live {
@@ -73,7 +89,7 @@ impl<'a> Live<'a> {
             watch: watch.map_err(Failure::input)?,
             errors,
             board,
-            has_keys,
+            attendance,
             is_to_stop: false,
             is_simulated: config.acquisition.source == Source::Simulate,
             next_sample: None,
@@ -110,7 +126,7 @@ impl<'a> Live<'a> {
     ) -> Result<RoundEnd, Failure> {
         self.board.change(|status| status.phase = phase);
         let mut round = Round { guide, recorder, shown: None, aborted: false, asks: false, tries: 0 };
-        let mut has_begun = self.has_keys;
+        let mut has_begun = self.attendance.has_somebody();
         while !round.guide.is_over() || round.asks {
             let heard = if self.is_to_stop { Heard::Stop } else { self.take(Some(&mut *round.recorder))? };
             match heard {
@@ -221,7 +237,7 @@ impl<'a> Live<'a> {
         let (gesture, effort) = round.guide.effort();
         self.tell_simulated(gesture, effort);
         self.show(round, &round.guide.cue());
-        self.errors.show(&self.board.look(|status| status.line(self.has_keys)));
+        self.errors.show(&self.board.look(|status| status.line(self.attendance.has_keys)));
         Ok(())
     }
 
@@ -250,7 +266,7 @@ impl<'a> Live<'a> {
         }
     }
 
-    /// Says what went wrong and what can be done. Without keys, it is done again at once, a few times.
+    /// Says what went wrong and what can be done. Without anybody to ask, it is done again at once, a few times.
     fn trouble(
         &mut self,
         round: &mut Round<'_>,
@@ -262,7 +278,7 @@ impl<'a> Live<'a> {
             // Another rest may have other electrodes.
             self.watch.forget_rest();
         }
-        if self.has_keys {
+        if self.attendance.has_somebody() {
             if !is_labelled && !round.aborted {
                 round.guide.redo();
                 round.aborted = true;
@@ -276,7 +292,7 @@ impl<'a> Live<'a> {
                 status.trouble = Some(trouble.to_string());
                 status.may = round.may();
             });
-            if let Some(line) = self.board.look(|status| status.trouble_line(self.has_keys)) {
+            if let Some(line) = self.board.look(|status| status.trouble_line(self.attendance.has_keys)) {
                 self.errors.say(line);
             }
             return Ok(());

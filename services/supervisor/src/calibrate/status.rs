@@ -5,8 +5,6 @@
 //! phase, report, error ─▶                   └─▶ JSON                 page
 //! ```
 
-use std::sync::{Arc, Mutex, PoisonError};
-
 use serde::Serialize;
 use tendon_gesture::Gesture;
 use tendon_guide::{Ask, Cue};
@@ -33,6 +31,13 @@ pub enum Phase {
     Failed,
     /// Somebody said stop.
     Stopped,
+}
+
+impl Phase {
+    /// Whether nothing more comes of it.
+    pub fn is_over(self) -> bool {
+        matches!(self, Phase::Done | Phase::Failed | Phase::Stopped)
+    }
 }
 
 /// What somebody at the keys or the page can say now.
@@ -101,7 +106,7 @@ impl CalibrationStatus {
             progress: 0.0,
             all_left_s: 0.0,
             trouble: None,
-            may: Vec::new(),
+            may: vec![May::Stop],
             report: None,
             error: None,
         }
@@ -183,27 +188,6 @@ pub fn asked(gesture: Gesture) -> String {
 fn bar(share: f64) -> String {
     let full = (share.clamp(0.0, 1.0) * BAR_WIDTH as f64).round() as usize;
     format!("[{}{}]", "#".repeat(full), ".".repeat(BAR_WIDTH - full))
-}
-
-/// The status that the calibration keeps current and others look at.
-#[derive(Clone, Debug)]
-pub struct StatusBoard(Arc<Mutex<CalibrationStatus>>);
-
-impl StatusBoard {
-    /// Of this calibration.
-    pub fn new(status: CalibrationStatus) -> StatusBoard {
-        StatusBoard(Arc::new(Mutex::new(status)))
-    }
-
-    /// Changes the status.
-    pub fn change(&self, change: impl FnOnce(&mut CalibrationStatus)) {
-        change(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner));
-    }
-
-    /// What `look` sees in it.
-    pub fn look<T>(&self, look: impl FnOnce(&CalibrationStatus) -> T) -> T {
-        look(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
-    }
 }
 
 #[cfg(test)]
