@@ -13,6 +13,8 @@ use super::check::CheckScores;
 pub struct PageReport {
     /// Share of windows to be recognised; every gesture counts the same.
     expected_accuracy: f64,
+    /// The same if the next repetitions are like the only one, which is too good; `None` where there are several.
+    expected_if_alike: Option<f64>,
     /// The gestures, rest first.
     gestures: Vec<GestureReport>,
     /// The channels, in order.
@@ -76,6 +78,7 @@ impl PageReport {
         });
         PageReport {
             expected_accuracy: person.expected.accuracy,
+            expected_if_alike: person.expected.if_alike,
             gestures: gestures.collect(),
             channels: channels.collect(),
             findings: person.findings.iter().map(ToString::to_string).collect(),
