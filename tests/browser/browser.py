@@ -144,6 +144,14 @@ class Page:
     def press_enter(self):
         self.press("Enter", "Enter", 13, "\r")
 
+    def type(self, words):
+        """Types letters and spaces, key by key, where the focus is."""
+        for letter in words:
+            if letter == " ":
+                self.press_space()
+            else:
+                self.press(letter, f"Key{letter.upper()}", ord(letter.upper()), letter)
+
     def save_screenshot(self, path):
         with open(path, "wb") as file:
             file.write(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
