@@ -1,5 +1,6 @@
 //! The story of a stranger, with nobody there: badly recognised, calibrated by cues, well recognised. And what goes wrong on
 //! the way.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may do what tests may")]
 
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
