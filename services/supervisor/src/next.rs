@@ -17,7 +17,7 @@ use tendon_people::PersonName;
 use tendon_process::{Next, NextSession, PAGE_VARIABLE, PageKeys};
 
 use crate::options::Options;
-use crate::{Arguments, Failure, zones};
+use crate::{Arguments, Failure, provenance, zones};
 
 /// Options of `tendon run` that the next session may have others of.
 const PERSON: &str = "--person";
@@ -156,6 +156,8 @@ fn check(command_line: &[String]) -> anyhow::Result<()> {
     })?;
     let crate::Command::Run(options) = parsed.command else { bail!("tendon run is what follows") };
     let (config, _folder) = options.configuration()?;
+    // It looks at the models and the person.
+    provenance::of_session(&config)?;
     let has_simulated_user = options.has_simulated_user(config.acquisition.source);
     options.task.map(|kind| zones::task(kind, &config, has_simulated_user)).transpose()?;
     Ok(())
