@@ -127,7 +127,6 @@ impl BuildOptions {
             self.base.configuration_of("tendon dataset build", &WINDOW_KEYS)?;
         let default = DatasetSettings::default();
         let settings = DatasetSettings {
-            recording_rate_hz: self.recording.recording_rate_hz,
             sample_rate_hz: self.sample_rate_hz.unwrap_or(acquisition.sample_rate_hz),
             filter: (!self.filtered).then_some(dsp.filter),
             input: self.input,
@@ -141,9 +140,9 @@ impl BuildOptions {
                 ..default.onset
             },
             fallback_ms: self.fallback_ms,
-            rest_start_ms: default.rest_start_ms,
-            channels: default.channels,
+            ..default
         };
+        let settings = self.recording.settings(settings);
         let channels = channels_or_default(&self.recording.channels, &settings, &self.recordings)?;
         Ok(DatasetSettings { channels, ..settings })
     }

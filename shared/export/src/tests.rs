@@ -234,7 +234,7 @@ fn the_signal_reads_back_bit_for_bit_with_its_gaps_in_time() {
     let session = eventful();
     let (_folder, tables) = exported(&session);
     let channels = ["flexor", "channel_2", "a_ _b_"].map(|name| Channel::Name(name.to_owned())).to_vec();
-    let settings = RecordingSettings { channels, sample_rate_hz: None, repetition: None };
+    let settings = RecordingSettings { channels, ..RecordingSettings::default() };
     let mut source = RecordingSource::open(&tables.join("signal.csv"), &settings).unwrap();
     assert!((source.sample_rate_hz() / RATE_HZ - 1.0).abs() < 1e-6, "{} Hz", source.sample_rate_hz());
     let mut values = [0.0_f32; 3];

@@ -47,6 +47,23 @@ pub enum RecordingError {
         /// The file.
         file: PathBuf,
     },
+    /// A column of labels was given for what has cues of its own.
+    #[error("{} has cues of its own: leave out label_column, which is for tables", .path.display())]
+    OwnCues {
+        /// The recording.
+        path: PathBuf,
+    },
+    /// A column of labels that names no gesture.
+    #[error(
+        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole numbers, of          which 0 is rest",
+        .file.display()
+    )]
+    NoLabels {
+        /// The file.
+        file: PathBuf,
+        /// The column.
+        column: String,
+    },
     /// A plain table whose sampling rate was not given.
     #[error("{} does not state its sampling rate: give sample_rate_hz, e.g. 2000", .file.display())]
     SampleRateMissing {
