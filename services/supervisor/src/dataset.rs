@@ -32,7 +32,7 @@ pub enum Command {
     /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD), or files
     ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Files in a folder `filtered` need --filtered.
     ///
-    /// * Your own: files .edf, .bdf or .xdf whose annotations or markers name gestures; of the person that sub-PERSON_….edf or
+    /// * Your own: files .edf, .bdf, .xdf or .xdfz whose annotations or markers name gestures; of the person that sub-PERSON_….edf or
     ///   the folder names.
     ///
     /// * Your own: tables (.csv, .tsv, .txt; one line per sample, one column per channel) and a labels.csv in the same

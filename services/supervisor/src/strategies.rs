@@ -36,7 +36,7 @@ use personal::People;
 /// Command line of `tendon strategies`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Continuous recordings with cues: folders of the 3DC layout or with a labels.csv, files .edf, .bdf or .xdf, or
+    /// Continuous recordings with cues: folders of the 3DC layout or with a labels.csv, files .edf, .bdf, .xdf or .xdfz, or
     /// folders above such.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,

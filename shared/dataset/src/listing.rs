@@ -95,7 +95,7 @@ pub struct Recordings {
 /// | files `.mat` | Ozdemir 2022: one a person |
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
 /// | a folder with `labels.csv` | the tables and other files that it names |
-/// | files `.edf`, `.bdf`, `.xdf` | each by itself, with its annotations or markers that name gestures |
+/// | files `.edf`, `.bdf`, `.xdf`, `.xdfz` | each by itself, with its annotations or markers that name gestures |
 /// | other tables, if `settings` name a column of labels | each by itself, with the gestures of that column |
 ///
 /// Files that look like recordings but match none of these are listed as skipped. Links to folders are followed; of each path, a

@@ -23,7 +23,7 @@ pub enum RecordingError {
     },
     /// A path without a known layout.
     #[error(
-        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file .edf, .bdf or .xdf, a file \
+        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file .edf, .bdf, .xdf or .xdfz, a file \
          3dc_EMG_gesture_R_G.txt, or the EMG folder that holds such files",
         .path.display()
     )]

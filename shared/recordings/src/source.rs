@@ -148,7 +148,7 @@ impl RecordingSource {
     /// |---|---|
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
-    /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
+    /// | a file `.edf`, `.bdf`, `.xdf` or `.xdfz` | its [`Signals`], with the cues that its annotations or markers give |
     /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)), with cues only if a column says what was done, at the rate that it tells, that a `session.toml` of Tendon beside it states, or `settings.sample_rate_hz` |
     ///
     /// # Errors

@@ -23,7 +23,7 @@ pub enum ListingError {
     /// A path without recordings.
     #[error(
         "{}: no recordings found{hint}; give folders ParticipantP/train/EMG or ParticipantP/test/EMG (3DC), files \
-         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), files .edf, .bdf or .xdf with \
+         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), files .edf, .bdf, .xdf or .xdfz with \
          annotations or markers, a folder with tables and a labels.csv, tables with --label-column, or a folder above such",
         .path.display()
     )]
