@@ -420,14 +420,14 @@ fn a_column_of_labels_serves_every_command_that_reads_recordings() {
     for (command, said) in [
         (vec!["dataset", "build", path, "--out", out], "1 person, 4 recordings"),
         (vec!["evaluate", path, "--model", model.to_str().unwrap()], "on people anna"),
-        (vec!["strategies", path, "--strategy", "direct"], "anna"),
+        (vec!["strategies", path, "--strategy", "direct"], "strategy direct"),
         (vec!["calibrate", "anna", "--from", path], "anna: 2 gestures on channels a, b, c, d"),
         (vec!["profile", "fit", path, "--out", "me.toml"], "profile of 4 channels"),
     ] {
         let options = ["--label-column", "done", "--recording-rate-hz", "1000"];
         let arguments = [&command[..], &options].concat();
         let builder = TendonBuilder::command(&unique_session(), &arguments);
-        let ended = builder.env("XDG_STATE_HOME", folder.path()).end();
+        let ended = builder.env("XDG_DATA_HOME", folder.path()).end();
         assert_eq!(ended.exit_code, Some(0), "{command:?}: {ended:#?}");
         assert!(ended.output.contains(said), "{command:?}: {ended:#?}");
     }
