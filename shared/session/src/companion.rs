@@ -3,11 +3,13 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tendon_config::Config;
+use tendon_process::PAGE_VARIABLE;
 
 use crate::children::{ChildrenError, SealedConfig, own_folder};
 use crate::writer::Writer;
@@ -22,6 +24,8 @@ const STOP_LOOK: Duration = Duration::from_millis(10);
 pub struct Companion {
     name: &'static str,
     process: Child,
+    /// What it says on standard output.
+    said: Receiver<String>,
     /// It reads the configuration from there.
     _config: SealedConfig,
     standard_error: Writer,
@@ -29,8 +33,8 @@ pub struct Companion {
 }
 
 impl Companion {
-    /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` of its own. What it writes to standard error goes to
-    /// `standard_error`.
+    /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` of its own, and `page` as
+    /// [`PAGE_VARIABLE`] in its environment. What it writes to standard error goes to `standard_error`.
     ///
     /// # Errors
     ///
@@ -39,6 +43,7 @@ impl Companion {
         name: &'static str,
         config: &Config,
         arguments: &[String],
+        page: Option<&str>,
         standard_error: &Writer,
     ) -> Result<Companion, ChildrenError> {
         let program = own_folder()?.join(name);
@@ -47,11 +52,23 @@ impl Companion {
             .arg("--config")
             .arg(config.path())
             .args(arguments)
+            .env_remove(PAGE_VARIABLE)
+            .envs(page.map(|page| (PAGE_VARIABLE, page)))
             .stdin(Stdio::null())
-            .stdout(Stdio::null())
+            .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .map_err(|source| ChildrenError::Start { program, source })?;
+        let (sender, said) = channel();
+        if let Some(output) = process.stdout.take() {
+            let hear = std::thread::Builder::new().name(format!("hear {name}"));
+            // As below.
+            let _ = hear.spawn(move || {
+                // Nobody listens any more once the session is over.
+                let lines = BufReader::new(output).lines().map_while(Result::ok);
+                lines.for_each(|line| drop(sender.send(line)));
+            });
+        }
         if let Some(errors) = process.stderr.take() {
             let writer = standard_error.clone();
             let relay = std::thread::Builder::new().name(format!("errors {name}"));
@@ -65,10 +82,16 @@ impl Companion {
         Ok(Companion {
             name,
             process,
+            said,
             _config: config,
             standard_error: standard_error.clone(),
             has_ended: false,
         })
+    }
+
+    /// The next line that it said on standard output, without waiting.
+    pub fn take_said(&mut self) -> Option<String> {
+        self.said.try_recv().ok()
     }
 
     /// Says once that it has ended, if it has. Does not wait.
