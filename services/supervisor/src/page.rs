@@ -4,6 +4,7 @@ use std::io::IsTerminal;
 use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::process::CommandExt;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
@@ -16,6 +17,10 @@ use crate::options::RunningSession;
 
 /// The program that serves the page. It lies beside this one.
 pub const PROGRAM: &str = "tendon-page";
+/// How long the page may take until it listens.
+const THERE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Time between two looks whether it does.
+const THERE_LOOK: Duration = Duration::from_millis(10);
 /// Where it listens unless told otherwise.
 const PORT: u16 = 8423;
 
@@ -37,6 +42,29 @@ pub struct RunOptions {
     /// Do not open the page in the browser.
     #[arg(long, requires = "page")]
     no_browser: bool,
+}
+
+impl RunOptions {
+    /// Whether somebody at the page can give orders.
+    pub fn takes_orders(&self) -> bool {
+        self.page && !self.page_watch_only
+    }
+
+    /// The options again, a word each.
+    pub fn words(&self) -> Vec<String> {
+        let RunOptions { page, page_port, page_address, page_watch_only, no_browser } = *self;
+        if !page {
+            return Vec::new();
+        }
+        let mut words = vec![
+            "--page".to_owned(),
+            format!("--page-port={page_port}"),
+            format!("--page-address={page_address}"),
+        ];
+        words.extend(page_watch_only.then(|| "--page-watch-only".to_owned()));
+        words.extend(no_browser.then(|| "--no-browser".to_owned()));
+        words
+    }
 }
 
 /// The page beside a session of this process.
@@ -82,6 +110,16 @@ impl Page {
             self.keys = Some(keys);
         }
         self.companion.look();
+    }
+
+    /// Waits until it listens; whether it does. One whose port is taken never will.
+    pub fn wait_until_there(&mut self) -> bool {
+        let begun = Instant::now();
+        while self.keys.is_none() && !self.companion.has_ended() && begun.elapsed() < THERE_TIMEOUT {
+            std::thread::sleep(THERE_LOOK);
+            self.look();
+        }
+        self.keys.is_some()
     }
 
     /// Where it is, once it listens.

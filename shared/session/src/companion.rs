@@ -94,6 +94,11 @@ impl Companion {
         self.said.try_recv().ok()
     }
 
+    /// Whether it was seen to have ended.
+    pub fn has_ended(&self) -> bool {
+        self.has_ended
+    }
+
     /// Says once that it has ended, if it has. Does not wait.
     pub fn look(&mut self) {
         if !self.has_ended
