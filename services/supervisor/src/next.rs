@@ -17,7 +17,7 @@ use tendon_people::PersonName;
 use tendon_process::{Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys};
 
 use crate::options::Options;
-use crate::{Arguments, Failure, calibrate, zones};
+use crate::{Arguments, Failure, calibrate, provenance, zones};
 
 /// Options of `tendon run` that the next session may have others of.
 const PERSON: &str = "--person";
@@ -176,6 +176,8 @@ pub fn read(command_line: &[String]) -> anyhow::Result<crate::Command> {
 fn check(command_line: &[String]) -> anyhow::Result<()> {
     let crate::Command::Run(options) = read(command_line)? else { bail!("tendon run is what follows") };
     let (config, _folder) = options.configuration()?;
+    // It looks at the models and the person.
+    provenance::of_session(&config)?;
     let has_simulated_user = options.has_simulated_user(config.acquisition.source);
     options.task.map(|kind| zones::task(kind, &config, has_simulated_user)).transpose()?;
     Ok(())

@@ -4,6 +4,7 @@ use std::io::IsTerminal;
 use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::process::CommandExt;
 use std::process::Command;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -71,9 +72,8 @@ impl RunOptions {
 #[derive(Debug)]
 pub struct Page {
     companion: Companion,
-    /// `None` before it listens.
-    keys: Option<PageKeys>,
-    standard_error: Writer,
+    /// Empty before it listens.
+    keys: Arc<OnceLock<PageKeys>>,
 }
 
 impl Page {
@@ -93,38 +93,39 @@ impl Page {
         let arguments = arguments(port, options.page_address, options.page_watch_only, opens_browser);
         // It is made of texts.
         let before = before.and_then(|before| serde_json::to_string(before).ok());
-        let companion = Companion::start(PROGRAM, config, &arguments, before.as_deref(), standard_error)?;
-        Ok(Page { companion, keys: None, standard_error: standard_error.clone() })
+        let (keys, errors) = (Arc::new(OnceLock::new()), standard_error.clone());
+        let heard = keys.clone();
+        let on_said = move |line: &str| {
+            let Ok(keys) = serde_json::from_str::<PageKeys>(line) else { return };
+            let (orders, watch) = keys.links();
+            orders.into_iter().for_each(|link| errors.say(format!("page: {link}")));
+            errors.say(format!("page, to watch only: {watch}"));
+            // It says so once.
+            let _ = heard.set(keys);
+        };
+        let before = before.as_deref();
+        let companion = Companion::start(PROGRAM, config, &arguments, before, on_said, standard_error)?;
+        Ok(Page { companion, keys })
     }
 
-    /// Says once where it is, and once that it has ended. Does not wait.
+    /// Says once that it has ended, if it has. Does not wait.
     pub fn look(&mut self) {
-        if self.keys.is_none()
-            && let Some(keys) = self.companion.take_said().and_then(|said| serde_json::from_str(&said).ok())
-        {
-            let (orders, watch) = PageKeys::links(&keys);
-            if let Some(link) = orders {
-                self.standard_error.say(format!("page: {link}"));
-            }
-            self.standard_error.say(format!("page, to watch only: {watch}"));
-            self.keys = Some(keys);
-        }
         self.companion.look();
     }
 
     /// Waits until it listens; whether it does. One whose port is taken never will.
     pub fn wait_until_there(&mut self) -> bool {
         let begun = Instant::now();
-        while self.keys.is_none() && !self.companion.has_ended() && begun.elapsed() < THERE_TIMEOUT {
+        while self.keys.get().is_none() && !self.companion.has_ended() && begun.elapsed() < THERE_TIMEOUT {
             std::thread::sleep(THERE_LOOK);
             self.look();
         }
-        self.keys.is_some()
+        self.keys.get().is_some()
     }
 
     /// Where it is, once it listens.
     pub fn keys(&self) -> Option<&PageKeys> {
-        self.keys.as_ref()
+        self.keys.get()
     }
 }
 

@@ -55,7 +55,8 @@ struct Companions {
 impl Companions {
     fn start(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
         let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
-        let outlet = config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, errors));
+        let outlet =
+            config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, |_| (), errors));
         let page = options.page.page.then(|| Page::start(&options.page, config, before.as_ref(), errors));
         let failed = |error: ChildrenError| Failure::running(error);
         Ok(Companions {

@@ -3,7 +3,6 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
@@ -24,8 +23,6 @@ const STOP_LOOK: Duration = Duration::from_millis(10);
 pub struct Companion {
     name: &'static str,
     process: Child,
-    /// What it says on standard output.
-    said: Receiver<String>,
     /// It reads the configuration from there.
     _config: SealedConfig,
     standard_error: Writer,
@@ -34,7 +31,8 @@ pub struct Companion {
 
 impl Companion {
     /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` of its own, and `page` as
-    /// [`PAGE_VARIABLE`] in its environment. What it writes to standard error goes to `standard_error`.
+    /// [`PAGE_VARIABLE`] in its environment. Each line that it says on standard output goes to `on_said`, in a thread; what it
+    /// writes to standard error goes to `standard_error`.
     ///
     /// # Errors
     ///
@@ -44,6 +42,7 @@ impl Companion {
         config: &Config,
         arguments: &[String],
         page: Option<&str>,
+        mut on_said: impl FnMut(&str) + Send + 'static,
         standard_error: &Writer,
     ) -> Result<Companion, ChildrenError> {
         let program = own_folder()?.join(name);
@@ -59,14 +58,12 @@ impl Companion {
             .stderr(Stdio::piped())
             .spawn()
             .map_err(|source| ChildrenError::Start { program, source })?;
-        let (sender, said) = channel();
         if let Some(output) = process.stdout.take() {
             let hear = std::thread::Builder::new().name(format!("hear {name}"));
             // As below.
             let _ = hear.spawn(move || {
-                // Nobody listens any more once the session is over.
                 let lines = BufReader::new(output).lines().map_while(Result::ok);
-                lines.for_each(|line| drop(sender.send(line)));
+                lines.for_each(|line| on_said(&line));
             });
         }
         if let Some(errors) = process.stderr.take() {
@@ -82,16 +79,10 @@ impl Companion {
         Ok(Companion {
             name,
             process,
-            said,
             _config: config,
             standard_error: standard_error.clone(),
             has_ended: false,
         })
-    }
-
-    /// The next line that it said on standard output, without waiting.
-    pub fn take_said(&mut self) -> Option<String> {
-        self.said.try_recv().ok()
     }
 
     /// Whether it was seen to have ended.
