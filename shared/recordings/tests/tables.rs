@@ -241,7 +241,7 @@ fn heads_of_opensignals_acqknowledge_labchart_and_noraxon_are_read() {
     let pandas =
         "time,0,1,2,3\n".replace("time", "") + &rows(500, |row| format!("{row},{}", samples(row, 4, ",")));
     let (_folder, path) = file("emg.csv", &pandas);
-    assert_eq!(first_muscles(&path, 4).unwrap(), [1, 2, 3, 4].map(Channel::Index));
+    assert_eq!(first_muscles(&path, 4, None).unwrap(), [1, 2, 3, 4].map(Channel::Index));
     let settings = RecordingSettings {
         channels: vec![Channel::Index(1)],
         sample_rate_hz: Some(1000.0),
