@@ -55,7 +55,8 @@ pub enum RecordingError {
     },
     /// A column of labels that names no gesture.
     #[error(
-        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole numbers, of          which 0 is rest",
+        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole \
+         numbers, of which 0 is rest",
         .file.display()
     )]
     NoLabels {
