@@ -82,6 +82,12 @@ impl Base {
         config.chain(self.assignments.iter().map(|assignment| format!(" --set '{assignment}'"))).collect()
     }
 
+    /// The same, a word each.
+    pub fn words(&self) -> Vec<String> {
+        let config = self.config.iter().map(|config| format!("--config={}", config.display()));
+        config.chain(self.assignments.iter().map(|assignment| format!("--set={assignment}"))).collect()
+    }
+
     /// Whether a key was set that begins with `beginning`.
     pub fn sets(&self, beginning: &str) -> bool {
         sets(&self.assignments, beginning)
@@ -106,7 +112,7 @@ impl Base {
 pub struct RecordingOptions {
     /// Channels of the recordings in this order, by number from 0 or by the name that the recordings give them [default: those
     /// that the model or person names; else all of what Tendon recorded, of your own recordings the first that look like EMG, of
-    /// 3DC 0,3,5,8].
+    /// 3DC 0,3,5,8, of Ozdemir 2022 0,1,2,3].
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = named_channel)]
     pub channels: Vec<Channel>,
     /// Sampling rate of recordings that do not state it, Hz.
@@ -183,7 +189,7 @@ impl RunningSession {
 #[derive(Debug, Args)]
 pub struct Options {
     #[command(flatten)]
-    base: Base,
+    pub base: Base,
     /// Name of the session; two at a time need two names.
     #[arg(long)]
     session: Option<SessionName>,
