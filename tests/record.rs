@@ -209,6 +209,16 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     std::fs::create_dir(&settings).unwrap();
     std::fs::write(settings.join("tendon.toml"), "mine").unwrap();
     export(&settings, &["--force"]).assert_failed(2, &["something else than an export"]);
+    std::fs::write(tables.join("zones.csv"), "mine").unwrap();
+    export(&tables, &["--force"]).assert_failed(2, &["zones.csv is something else than an export"]);
+    let xdf = exports.path().join("other.xdf");
+    std::fs::write(&xdf, "XDF:").unwrap();
+    let export = TendonBuilder::command(&unique_session(), &["export", "--force"]).arg(&file).arg("--xdf");
+    export.arg(&xdf).end().assert_failed(2, &["other.xdf is something else than an export"]);
+    let session_facts = std::fs::read_to_string(tables.join("session.json")).unwrap();
+    let session_facts: serde_json::Value = serde_json::from_str(&session_facts).unwrap();
+    assert_eq!(session_facts["unit"], "adc_counts");
+    assert_eq!(session_facts["channels"][3], "channel_3");
     session.signal(Signal::SIGINT);
     let report = session.end().report();
     assert!(report.recordings[0].error.as_ref().unwrap().contains("signal: 9"), "{report:#?}");
@@ -232,9 +242,28 @@ fn the_key_w_starts_a_recording_and_ends_it() {
     let ended = session.end();
     let report = ended.report();
     assert_eq!((report.recordings.len(), &report.recordings[0].error), (1, &None), "{ended:#?}");
-    let mut reader = Reader::open(&file_in(&folder).unwrap()).unwrap();
+    let file = file_in(&folder).unwrap();
+    let mut reader = Reader::open(&file).unwrap();
     while reader.next_message().unwrap().is_some() {}
     assert!(reader.is_whole());
+
+    // A replay begins anew with the first block of it. That it decides otherwise is no fault, and two of them are the same.
+    let replays = ["first", "second"].map(|name| home.path().join(name));
+    let compared = replays.each_ref().map(|folder| replay_and_compare(&name, &file, folder, &[]));
+    for compared in &compared {
+        assert_eq!(compared.exit_code, Some(0), "{compared:#?}");
+        assert!(compared.errors.contains("was begun in a running session"), "{compared:#?}");
+        assert!(!compared.output.contains(" 0 different"), "{compared:#?}");
+    }
+    let compared = TendonBuilder::command(&name, &["compare"]);
+    let compared =
+        replays.iter().fold(compared, |command, folder| command.arg(file_in(folder).unwrap())).end();
+    assert_eq!(compared.exit_code, Some(0), "{compared:#?}");
+    assert_eq!(
+        compared.output.matches(" 0 different, 0 only in the first, 0 only").count(),
+        2,
+        "{compared:#?}"
+    );
 }
 
 #[test]

@@ -74,7 +74,7 @@ fn the_columns_of_a_table_are_named_and_its_time_gives_the_rate_and_the_gaps() {
     let ended = run(&[]);
     assert!(ended.output.contains("at 2000 Hz, columns flexor, extensor, thumb, ulna\n"), "{ended:#?}");
     assert!(ended.errors.contains("200 samples are missing in 1 place"), "{ended:#?}");
-    assert!(ended.errors.contains("channel extensor was constant (2)"), "{ended:#?}");
+    assert!(ended.errors.contains("channels extensor (2), thumb (3), ulna (4) were constant"), "{ended:#?}");
     let ended = run(&["--set", "acquisition.replay.channels=[2,1,0,3]"]);
     assert!(ended.output.contains("columns extensor, flexor, time, thumb\n"), "{ended:#?}");
     assert!(

@@ -201,10 +201,10 @@ impl RecordingSource {
             let columns = table::columns(text.bytes()).map_err(RecordingError::table(file))?;
             let chosen = table.chosen_columns();
             let odd = chosen.iter().filter(|column| columns[**column].kind != ColumnKind::Muscle);
-            notices.extend(odd.map(|column| {
-                let (name, kind) = (table.name(*column), columns[*column].kind);
-                Notice::NoMuscle { file: file.clone(), column: name, kind }
-            }));
+            let odd: Vec<_> = odd.map(|column| (table.name(*column), columns[*column].kind)).collect();
+            if !odd.is_empty() {
+                notices.push(Notice::NoMuscle { file: file.clone(), columns: odd });
+            }
             let units = chosen.iter().map(|column| &columns[*column].unit);
             let common = units.clone().next().filter(|first| units.clone().all(|unit| unit == *first));
             unit = common.cloned().unwrap_or_default();
