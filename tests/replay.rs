@@ -52,8 +52,12 @@ fn at_full_speed_every_block_and_window_of_a_table_comes_through() {
     let path = folder.path().join("recording.csv");
     // 4.5 s, and 7 samples that fill no block.
     write_table(&path, &[Stretch { samples: 9007, amplitudes: REST }]);
-    let report = replay_at_full_speed(&path, &CSV);
+    let recordings = folder.path().join("recordings");
+    let record = [&CSV[..], &["--record", recordings.to_str().unwrap()]].concat();
+    let report = replay_at_full_speed(&path, &record);
     assert_complete(&report, 900, windows_of(9000));
+    // Nobody allocates for the recorder, which came last.
+    assert!(report.allocations.values().all(|allocations| *allocations == 0), "{report:#?}");
     assert!(report.replay_x_real_time.unwrap() > 0.0);
 }
 
