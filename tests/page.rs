@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};
-use tendon_system_tests::{Tendon, TendonBuilder, unique_session, wait_until};
+use tendon_system_tests::{Tendon, TendonBuilder, model, unique_session, wait_until};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Error, Message, WebSocket};
@@ -100,6 +100,12 @@ impl Viewer {
         self.next("state", |_| true)
     }
 
+    /// The answer to a request.
+    fn ask(&mut self, what: &Value) -> Value {
+        self.say(&json!({"request": {"id": 41, "what": what}}));
+        self.next("answer", |answer| answer["id"] == 41)
+    }
+
     fn say(&mut self, what: &Value) {
         self.0.send(Message::text(what.to_string())).unwrap();
     }
@@ -159,6 +165,55 @@ fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
     let report = ended.report();
     assert!(!ended.errors.contains("goes on without it"), "{ended:?}");
     assert_eq!(report.restarts, 0, "{report:?}");
+}
+
+#[test]
+fn the_page_records_notes_and_makes_gestures_as_far_as_its_viewer_may() {
+    let data = tempfile::tempdir().unwrap();
+    let mut tendon = TendonBuilder::run_with_model(&unique_session(), &model("cnn-six-class"))
+        .args(&["--page", "--page-port", "0", "--keyboard", "--task", "zones", "--strategy", "direct"])
+        .env("XDG_DATA_HOME", data.path())
+        .start();
+    tendon.wait_until_running();
+    let page = Page::of(&tendon);
+    let mut viewer = page.request(&page.orders, &[]).unwrap();
+    assert_eq!(viewer.next("hello", |_| true)["task"], true);
+    let desk = viewer.next("desk", |desk| desk["can"]["record"] == true);
+    assert_eq!((&desk["kind"], &desk["strategy"]), (&json!("session"), &json!("direct")));
+    assert_eq!((&desk["recording"], &desk["people"]), (&Value::Null, &json!([])));
+
+    assert_eq!(viewer.ask(&json!({"note": "too early"}))["ok"], false);
+    let answer = viewer.ask(&json!({"record": true}));
+    assert_eq!((&answer["ok"], &answer["order"]), (&json!(true), &json!("record")), "{answer}");
+    let recording = viewer.next("desk", |desk| desk["recording"].is_string())["recording"].clone();
+    viewer.next("state", |state| state["recording"] == recording);
+    let noted = viewer.ask(&json!({"note": "electrode 3 is loose"}));
+    assert_eq!(noted["text"], format!("noted in {}", recording.as_str().unwrap()));
+    assert_eq!(viewer.ask(&json!({"record": false}))["ok"], true);
+    viewer.next("desk", |desk| desk["recording"].is_null());
+
+    assert_eq!(viewer.ask(&json!({"gesture": {"gesture": "extension", "effort": 1.0}}))["ok"], true);
+    viewer.next("state", |state| state["gesture"] == "extension");
+    viewer.next("desk", |desk| desk["task"]["zone"]["width_mm"].is_number());
+    viewer.next("state", |state| state["zone"]["center_mm"].is_array());
+    for (refused, why) in [
+        (json!({"gesture": {"gesture": "fist"}}), "no gesture of this session"),
+        (json!({"gesture": {"gesture": "rest", "effort": 7.0}}), "from 0 to 1"),
+        (json!({"mode": "nowhere"}), "mode"),
+        (json!({"calibration": "go-on"}), "no calibration"),
+    ] {
+        let answer = viewer.ask(&refused);
+        assert!(answer["ok"] == false && answer["text"].as_str().unwrap().contains(why), "{answer}");
+    }
+    // The page of those who watch asks for nothing, and is not told who was calibrated.
+    let mut watcher = page.request(&page.watch, &[]).unwrap();
+    assert_eq!(watcher.next("desk", |_| true)["people"], Value::Null);
+    assert_eq!(watcher.ask(&json!({"record": true}))["ok"], false);
+    assert_eq!(watcher.ask(&json!({"note": "hello"}))["ok"], false);
+
+    tendon.signal(Signal::SIGTERM);
+    let ended = tendon.end();
+    assert_eq!(ended.report().recordings.len(), 1, "{ended:?}");
 }
 
 /// 200 requests that no page of ours sends.

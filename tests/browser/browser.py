@@ -144,6 +144,14 @@ class Page:
     def press_enter(self):
         self.press("Enter", "Enter", 13, "\r")
 
+    def type(self, words):
+        """Types letters and spaces, key by key, where the focus is."""
+        for letter in words:
+            if letter == " ":
+                self.press_space()
+            else:
+                self.press(letter, f"Key{letter.upper()}", ord(letter.upper()), letter)
+
     def save_screenshot(self, path):
         with open(path, "wb") as file:
             file.write(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
@@ -154,3 +162,10 @@ class Page:
         self.value("0")
         return [event["params"]["exceptionDetails"]["exception"].get("description") for event in self._browser.events
                 if event.get("method") == "Runtime.exceptionThrown" and event.get("sessionId") == self._session]
+
+
+if __name__ == "__main__":
+    # Whether there is a browser, for scripts.
+    if not find_program():
+        raise SystemExit("no browser found: the tests of the page in a browser are skipped"
+                         " (Debian: apt install chromium-headless-shell)")

@@ -1,7 +1,7 @@
 """A session that a test makes up: serves the page's files and speaks to them as the program `tendon-page` does.
 
-    test ── attributes of Session ──▶ Session ── hello, state, latency, answers, frames ──▶ page
-         ◀─ Session.orders ───────────────────◀─ orders, pings ──────────────────────────
+    test ── attributes of Session ──▶ Session ── hello, state, desk, latency, answers, frames ──▶ page
+         ◀─ Session.orders, requests ─────────◀─ orders, requests, pings ───────────────────────
 """
 
 import base64
@@ -28,6 +28,28 @@ JOINTS = [(0, 267, 0), (0, 0, -math.pi / 2), (0, 293, math.pi / 2), (52.5, 0, ma
 #: The arm stands at its start position.
 JOINTS_RAD = [0.0, -0.2618, 0.0, 0.7854, 0.0, 1.0472, 0.0]
 START_MM = [386.0, 0.0, 362.0]
+MODES = [{"name": "y-z", "motions": dict(zip(GESTURES, ["none", "+z", "-z", "+y", "-y", "gripper"]))},
+         {"name": "x-z", "motions": dict(zip(GESTURES, ["none", "+z", "-z", "+x", "-x", "gripper"]))}]
+RECORDING = "/home/anna/sessions/2026-05-04T10-20-30/session.mcap"
+#: Fields of the state that a calibration, which has no arm, does not know.
+OF_THE_ARM = ["position_mm", "orientation_rad", "joints_rad", "speed_mm_per_s", "gripper", "stop_reason", "hindrance",
+              "phase", "gesture", "voted", "confidence", "mode", "zone"]
+#: What a calibration tells while a gesture is asked for.
+CUE = {
+    "name": "anna", "phase": "cues", "ask": "hold", "gesture": "grip", "repetition": 1, "repetitions": 2,
+    "countdown_s": None, "left_s": 3.4, "effort_share": 0.55, "asked_effort_share": 0.7, "progress": 0.45,
+    "all_left_s": 31, "trouble": None, "may": ["redo", "stop"], "report": None, "error": None,
+}
+REPORT = {
+    "expected_accuracy": 0.97, "gestures": [{"name": name, "recall": 0.99 - 0.03 * place}
+                                            for place, name in enumerate(GESTURES)],
+    "channels": [{"name": f"EMG {number}", "snr_db": 24.0 - 2 * number, "remark": "hum" if number == 3 else None}
+                 for number in range(8)],
+    "findings": ["ulnar and radial look alike: make them more distinctly"],
+    "confusion": {"gestures": GESTURES, "counts": [[40 if row == column else 5 if (row, column) == (3, 4) else 0
+                                                    for column in range(6)] for row in range(6)]},
+    "check": {"before": 0.71, "after": 0.99}, "file": "/home/anna/people/anna/person.toml",
+}
 
 
 class Session:
@@ -43,6 +65,12 @@ class Session:
         self.is_silent = False
         self.accepts = True
         self.orders = []
+        #: What was asked of the session, and how it answers: whether it does so, and its words.
+        self.requests = []
+        self.answer = (True, "done")
+        self.kind = "session"
+        #: Fields of the desk that differ from a session that lets the page do everything.
+        self.desk = {}
         self._sockets = set()
         self._started_ns = time.monotonic_ns()
         session = self
@@ -71,16 +99,25 @@ class Session:
             except OSError:
                 pass
 
+    def restart(self, kind="session"):
+        """The next session, or a calibration, takes the place of this one."""
+        self.kind, self.state, self.desk = kind, {}, {}
+        self._started_ns = time.monotonic_ns()
+        self.drop()
+
     def hello(self):
-        motions = dict(zip(GESTURES, ["none", "up", "down", "left", "right", "gripper"]))
-        joints = [dict(a_mm=a, d_mm=d, alpha_rad=alpha, theta_offset_rad=0) for a, d, alpha in JOINTS]
-        return {
+        about = {
             "session": "browser-test", "version": "0.1.0", "rights": self.rights, "started_ns": self._started_ns,
-            "source": "simulate", "person": None, "model": "models/cnn-five-gesture.onnx", "strategy": "threshold",
-            "sample_rate_hz": 2000.0, "channels": [{"name": str(channel), "unit": "uV"} for channel in range(self.channels)],
-            "gestures": GESTURES, "modes": [{"name": "y-z", "motions": motions}],
-            "workspace_mm": {"min": [200, -400, 150], "max": [600, 400, 650]}, "arm": {"joints": joints},
-            "speed_mm_per_s": 50, "task": False, "paper": {"median_ms": 326, "mean_ms": 324}, "bin_ms": BIN_MS,
+            "source": "simulate", "sample_rate_hz": 2000.0, "bin_ms": BIN_MS, "kind": self.kind,
+            "channels": [{"name": str(channel), "unit": "uV"} for channel in range(self.channels)],
+        }
+        if self.kind == "calibration":
+            return about
+        joints = [dict(a_mm=a, d_mm=d, alpha_rad=alpha, theta_offset_rad=0) for a, d, alpha in JOINTS]
+        return about | {
+            "person": None, "model": "models/cnn-five-gesture.onnx", "strategy": "threshold", "gestures": GESTURES,
+            "modes": MODES, "workspace_mm": {"min": [200, -400, 150], "max": [600, 400, 650]}, "arm": {"joints": joints},
+            "speed_mm_per_s": 50, "task": False, "paper": {"median_ms": 326, "mean_ms": 324},
         }
 
     def whole_state(self):
@@ -91,9 +128,29 @@ class Session:
             "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
             "phase": "following", "gesture": self.gesture, "voted": self.gesture, "confidence": 0.93, "unsure": False,
             "novelty": 0.2, "probabilities": [0.93 if gesture == self.gesture else 0.014 for gesture in GESTURES],
-            "efforts": [0.5] * len(GESTURES), "mode": "y-z", "calibration_left_ms": 0, "zone": None, "recording": None,
+            "efforts": [0.5] * len(GESTURES), "mode": 0, "calibration_left_ms": 0, "zone": None, "recording": (self.desk or {}).get("recording"),
             "lost_samples": 0, "lost_blocks": 0, "stale": 0, "restarts": 0, "clock_drift_ppm": 0.0, "troubles": [],
-        } | self.state
+        } | (dict.fromkeys(OF_THE_ARM) | {"permission": "none"} if self.kind == "calibration" else self.state)
+
+    def whole_desk(self):
+        if self.desk is None:
+            return None
+        may_all = {"record": True, "gestures": True, "mode": True, "next": True}
+        people = {} if self.rights == "watch" else {"people": ["anna", "bert"]}
+        calibration = CUE if self.kind == "calibration" else None
+        return {"can": may_all, "kind": self.kind, "recording": None, "person": None, "strategy": "threshold",
+                "strategies": ["threshold", "two_stage", "direct", "personal"], "task": None,
+                "calibration": calibration} | people | self.desk
+
+    def take_request(self, what):
+        self.requests.append(what)
+        if self.answer[0] and self.obeys:
+            if "record" in what:
+                self.desk = {"recording": RECORDING if what["record"] else None}
+            elif "gesture" in what:
+                self.gesture = what["gesture"]["gesture"]
+            elif "mode" in what:
+                self.state = {"mode": [mode["name"] for mode in MODES].index(what["mode"])}
 
     def take_order(self, order):
         self.orders.append(order["what"])
@@ -180,11 +237,18 @@ class Requests(http.server.BaseHTTPRequestHandler):
             order = message["order"]
             self.of.take_order(order)
             self.send({"answer": {"id": order["id"], "order": order["what"], "ok": True, "text": "given"}})
+        elif "request" in message:
+            request = message["request"]
+            self.of.take_request(request["what"])
+            is_done, words = self.of.answer
+            kind = next(iter(request["what"]))
+            self.send({"answer": {"id": request["id"], "order": kind, "ok": is_done, "text": words}})
 
     def tell(self):
         """States and frames 30 times a second, latencies once."""
         next_bin = self.bin_now()
         turn = 0
+        desk = None
         try:
             while self.connection in self.of._sockets:
                 time.sleep(1 / 30)
@@ -193,6 +257,9 @@ class Requests(http.server.BaseHTTPRequestHandler):
                     continue
                 self.send(self.of.frame(next_bin, bins))
                 next_bin += bins
+                if desk != self.of.whole_desk():
+                    desk = self.of.whole_desk()
+                    self.send({"desk": desk})
                 self.send({"state": self.of.whole_state()})
                 if turn % 30 == 0:
                     self.send({"latency": LATENCY})

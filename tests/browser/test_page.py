@@ -1,4 +1,5 @@
-"""The page in a real browser. `python3 tests/browser/test_page.py` runs it; skipped with a word where no browser is.
+"""The page of made-up sessions in a real browser. `python3 -m unittest discover tests/browser` runs this and test_session.py;
+skipped where no browser is.
 
 TENDON_BROWSER names a browser; TENDON_SCREENSHOTS names a folder that gets a screenshot of each state.
 """
@@ -12,14 +13,19 @@ import time
 import unittest
 
 from browser import Browser, find_program
-from fixture import JOINTS_RAD, START_MM, WEB, Session
+from fixture import CUE, JOINTS_RAD, RECORDING, REPORT, START_MM, WEB, Session
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 MOST_BYTES = 300_000
 TITLE = "document.querySelector('#standing-title').textContent"
 STOP = "document.querySelector('#stop .order-name').textContent"
+ANSWERED = "document.querySelector('#request-outcome').textContent"
 OUTCOME = "document.querySelector('#order-outcome').textContent"
 IS_LIVE = "!document.body.classList.contains('is-away')"
+
+
+def is_shown(selector):
+    return f"document.querySelector('{selector}').offsetParent !== null"
 
 
 def kebab(name):
@@ -188,20 +194,210 @@ class InBrowser(unittest.TestCase):
             self.screenshot(page, f"why-{number}")
         page.wait_for("document.querySelector('#electrodes').textContent.startsWith('Channel 2 is flat')")
 
+    def test_a_recording_is_on_when_the_desk_says_so(self):
+        self.session.obeys = False
+        page = self.open()
+        name = "document.querySelector('#record-name').textContent"
+        page.wait_for(f"{name} === '● Record'")
+        page.click("#record")
+        page.wait_for(f"{name} === 'Asked …'")
+        self.session.desk = {"recording": RECORDING}
+        page.wait_for(f"{name} === '■ Stop recording' && {ANSWERED} === 'Recording: done'")
+        page.wait_for("document.querySelector('#record-facts').textContent.startsWith('2026-05-04T10-20-30 · 0:00:0')")
+        self.session.answer = (False, "the disk is full")
+        page.click("#record")
+        page.wait_for(f"{ANSWERED} === 'End of the recording: not done. the disk is full' && {name} === '■ Stop recording'")
+        self.assertEqual(self.session.requests, [{"record": True}, {"record": False}])
+        # Nobody tells how the session stands any more.
+        self.session.desk = None
+        page.wait_for(f"!({is_shown('#actions')})")
+
+    def test_a_note_takes_spaces_and_stop_stays_near(self):
+        self.session.desk = {"recording": RECORDING}
+        page = self.open()
+        page.wait_for("document.querySelector('#marker').getAttribute('aria-disabled') === 'false'")
+        page.click("#note-text")
+        page.wait_for("document.querySelector('#stop .order-note').textContent.startsWith('Space bar twice')")
+        page.type("loose e")
+        page.press_enter()
+        page.wait_for(f"{ANSWERED} === 'Note “loose e”: done' && document.querySelector('#note-text').value === ''")
+        # A letter that makes a gesture elsewhere was typed, and nothing stopped.
+        self.assertEqual((self.session.requests, self.session.orders), ([{"note": "loose e"}], []))
+        page.type("so  ")
+        page.wait_for(f"{STOP} === 'STOPPED' && document.activeElement !== document.querySelector('#note-text')")
+        self.assertEqual(page.value("document.querySelector('#note-text').value"), "so ")
+        self.session.state = {}
+        page.click("#note-text")
+        page.press("Escape", "Escape", 27)
+        page.press_space()
+        page.wait_for(f"{STOP} === 'STOPPED'")
+        page.value("document.querySelector('#note-text').value = ''")
+        page.click("#note-text")
+        page.press_space()
+        page.click("#marker")
+        page.wait_for(f"{ANSWERED} === 'Note “Marker”: done'")
+        self.assertEqual((self.session.requests[1:], self.session.orders), ([{"note": "Marker"}], ["stop"] * 3))
+
+    def test_gestures_by_key_and_by_button_and_modes(self):
+        page = self.open()
+        page.wait_for(is_shown("#make"))
+        page.type("e")
+        page.wait_for(f"{TITLE} === 'Following · extension: up · 0.93'"
+                      " && document.querySelector('[data-gesture=extension]').getAttribute('aria-pressed') === 'true'")
+        page.click("[data-gesture=radial]")
+        page.wait_for(f"{TITLE} === 'Following · radial: right · 0.93'")
+        page.press("3", "Digit3", 51, "3")
+        page.wait_for(f"{TITLE} === 'Following · ulnar: left · 0.93'")
+        page.click("#modes button:last-child")
+        page.wait_for(f"{TITLE} === 'Following · ulnar: forward · 0.93'"
+                      " && document.querySelector('#modes [aria-pressed=true]').textContent === 'x-z'")
+        made = [{"gesture": {"gesture": gesture, "effort": 1}} for gesture in ("extension", "radial", "ulnar")]
+        self.assertEqual(self.session.requests, made + [{"mode": "x-z"}])
+        self.session.answer = (False, "the source follows no keys")
+        page.type("g")
+        page.wait_for(f"{ANSWERED} === 'grip: not done. the source follows no keys'"
+                      " && document.querySelector('[data-gesture=ulnar]').getAttribute('aria-pressed') === 'true'")
+
+    def test_what_comes_next_is_chosen_and_the_page_comes_back(self):
+        page = self.open()
+        page.wait_for(is_shown("#next-open"))
+        page.click("#next-open")
+        page.wait_for("document.activeElement.id === 'next'")
+        self.screenshot(page, "next")
+        page.press_space()
+        page.wait_for(f"{STOP} === 'STOPPED'")
+        page.click("[data-choice=person] [data-option=anna]")
+        page.wait_for("document.querySelector('[data-choice=strategy] [aria-pressed=true]').dataset.option === 'personal'")
+        page.click("[data-choice=task] [data-option=zones]")
+        page.click("#next .column:first-child .begins")
+        page.wait_for(f"{ANSWERED} === 'Session with anna: asked …'")
+        self.session.accepts = False
+        self.session.drop()
+        page.wait_for(f"{TITLE} === 'The next one begins'")
+        self.session.accepts = True
+        self.session.restart()
+        page.wait_for(f"{IS_LIVE} && {ANSWERED} === 'Session with anna: done' && document.querySelector('#next').hidden")
+        page.wait_for(is_shown("#next-open"))
+        page.click("#next-open")
+        page.value("document.querySelector('#calibrate-name').focus()")
+        page.type("n?")
+        page.press_enter()
+        page.wait_for("document.querySelector('#calibrate-wrong').textContent.startsWith('Take 1 to 40')")
+        page.value("document.querySelector('#calibrate-name').value = ''")
+        page.type("bert")
+        page.click("[data-choice=how] [data-option=replace]")
+        page.press("Escape", "Escape", 27)
+        page.wait_for("document.activeElement.id === 'next-open'")
+        self.session.answer = (False, "the session has a duration")
+        page.press_enter()
+        page.value("document.querySelector('#calibrate-name').focus()")
+        page.type("bert")
+        page.press_enter()
+        page.wait_for(f"{ANSWERED} === 'Calibration of bert: not done. the session has a duration'")
+        calibrate = {"gestures": None, "repetitions": 1, "check": True, "redo": None, "update": True, "replace": False,
+                     "name": "bert"}
+        self.assertEqual(self.session.requests, [
+            {"next": {"session": {"person": "anna", "strategy": "personal", "task": "zones"}}},
+            {"next": {"calibrate": calibrate}}])
+
+    def test_a_calibration_from_its_first_cue_to_its_report(self):
+        page = self.open(width=1024, height=768)
+        self.session.restart("calibration")
+        steps = [
+            ({"ask": "wait", "may": ["go-on", "stop"]}, "Ready? Press Go on"),
+            ({"ask": "relax", "gesture": "extension", "countdown_s": 3}, "Extension in 3"),
+            ({}, "Grip: light, firm, light"),
+            ({"ask": "wait", "trouble": "channel 2 is flat", "may": ["go-on", "redo", "stop"]}, "Something is wrong"),
+            ({"phase": "fitting", "ask": "nothing", "may": []}, "Learning from the recordings"),
+        ]
+        for number, (change, title) in enumerate(steps):
+            self.session.desk = {"calibration": CUE | change}
+            page.wait_for(f"{IS_LIVE} && {TITLE} === {json.dumps(title)}")
+            self.screenshot(page, f"calibration-{number}")
+            page.press_enter()
+            page.press("r", "KeyR", 82, "r")
+            page.wait_for("document.querySelector('#stop').offsetParent === null")
+        # What may not be done now is not asked for.
+        asked = [request["calibration"] for request in self.session.requests]
+        self.assertEqual(asked, ["go-on", "redo", "redo", "go-on", "redo"])
+        done = {"phase": "done", "ask": "nothing", "may": [], "report": REPORT}
+        self.session.desk = {"calibration": CUE | done}
+        page.wait_for("document.querySelector('.accuracy')?.textContent === '97\u00a0%'"
+                      " && document.querySelectorAll('.confusion .is-wrong').length === 1")
+        self.screenshot(page, "calibration-report")
+        page.value("document.querySelector('[aria-label=\"Record grip again\"]').click()")
+        page.click(".report-orders .begins")
+        page.wait_for(f"{ANSWERED} === 'Session with anna: asked …'")
+        redo, session = (request["next"] for request in self.session.requests[len(asked):])
+        self.assertEqual((redo["calibrate"]["redo"], session["session"]["person"]), ("grip", "anna"))
+        self.session.restart()
+        page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest' && document.querySelector('#stop').offsetParent !== null")
+        self.assertEqual(self.session.orders, [])
+
+    def test_the_way_to_the_zone_is_in_words_and_drawn(self):
+        zone = {"center_mm": [386, 40, 342], "width_mm": 30}
+        task = {"kind": "zones", "zone": zone, "reached": 3, "trials": 4, "overshoots": 1,
+                "throughput_bits_per_s": 0.912, "dwell_share": 0.0}
+        self.session.desk = {"task": task}
+        page = self.open()
+        page.wait_for("document.querySelector('#task-zone').textContent === 'Zone: 40\u00a0mm left · 20\u00a0mm down'")
+        self.assertEqual(page.text("#task-scores"), "3 of 4 reached · overshoots: 1 · 0.91\u00a0bit/s")
+        picture = page.value("document.querySelector('#arm-canvas').toDataURL()")
+        self.session.desk = {"task": task | {"zone": zone | {"center_mm": START_MM}, "dwell_share": 0.4}}
+        page.wait_for("document.querySelector('#task-zone').textContent === 'In the zone: hold still'"
+                      " && document.querySelector('#task-dwell').style.transform === 'scaleX(0.4)'")
+        page.wait_for(f"document.querySelector('#arm-canvas').toDataURL() !== {json.dumps(picture)}")
+        self.screenshot(page, "zone")
+
+    def test_whoever_only_watches_sees_no_actions(self):
+        self.session.rights = "watch"
+        self.session.desk = {"recording": RECORDING}
+        page = self.open()
+        page.wait_for("document.querySelector('#session .is-recording') !== null")
+        for part in ("#actions", "#make", "#modes", "#next"):
+            self.assertFalse(page.value(is_shown(part)), part)
+        page.type("e")
+        self.session.gesture = "grip"
+        page.wait_for(f"{TITLE}.startsWith('Following · grip')")
+        self.assertEqual(self.session.requests, [])
+
+    def test_everything_is_reached_by_keyboard_and_the_focus_stays(self):
+        self.session.desk = {"recording": RECORDING}
+        page = self.open()
+        page.wait_for(is_shown("#next-open"))
+        reached = []
+        while len(reached) < 60 and "languages" not in reached:
+            page.press("Tab", "Tab", 9)
+            reached.append(page.value("document.activeElement.id || document.activeElement.parentElement.id"))
+        for part in ("arm", "stop", "record", "marker", "note-text", "note-add", "next-open", "modes", "make-gestures",
+                     "arm-canvas", "languages"):
+            self.assertIn(part, reached)
+        # States and desks that come do not take the focus away.
+        self.session.gesture, self.session.desk = "flexion", {}
+        page.wait_for(f"{TITLE}.startsWith('Following · flexion')")
+        page.wait_for("document.querySelector('#record-name').textContent === '● Record'")
+        self.assertEqual(page.value("document.activeElement.parentElement.id"), "languages")
+
     def test_a_tab_that_was_not_seen_catches_up_without_a_burst(self):
         page = self.open()
         page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")
         page.value("window.drawn = 0; (() => { const draw = CanvasRenderingContext2D.prototype.clearRect;"
                    " CanvasRenderingContext2D.prototype.clearRect = function (...box) {"
                    " if (this.canvas.id === 'traces') window.drawn += 1; return draw.apply(this, box); }; })()")
-        other = self.browser.open("about:blank")
-        other.call("Page.bringToFront")
-        page.wait_for("document.hidden")
+        # As browsers do it, and chromium-headless-shell does not: a tab that nobody sees gets no frames of the screen.
+        page.value("(() => { window.asked = []; window.seen = window.requestAnimationFrame;"
+                   " window.requestAnimationFrame = (draw) => window.asked.push(draw);"
+                   " Object.defineProperty(document, 'hidden', { get: () => true, configurable: true });"
+                   " document.dispatchEvent(new Event('visibilitychange')); })()")
         self.session.gesture = "flexion"
         time.sleep(1.0)
+        self.assertFalse(page.text("#standing-title").startswith("Following"))
+        self.assertLessEqual(page.value("window.asked.length"), 1)
         page.value("window.drawn = 0")
         began = time.monotonic()
-        page.call("Page.bringToFront")
+        page.value("(() => { window.requestAnimationFrame = window.seen; delete document.hidden;"
+                   " document.dispatchEvent(new Event('visibilitychange'));"
+                   " for (const draw of window.asked) window.requestAnimationFrame(draw); })()")
         page.wait_for(f"{TITLE}.startsWith('Following · flexion')")
         # 60 frames of the screen a second, and some air.
         self.assertLess(page.value("window.drawn"), 10 + 100 * (time.monotonic() - began))

@@ -4,19 +4,9 @@ use tendon_config::Config;
 use tendon_gesture::GestureSet;
 use tendon_lsl::{ChannelFacts, Lsl, LslError, Outlet, StreamDescription, TextOutlet};
 use tendon_messages::{
-    CommandHeader, Permission, PredictionHeader, Stage, StateHeader, StopReason, TWIST_LENGTH, Trace,
+    COMMAND_CHANNELS, CommandHeader, PermissionChanges, PredictionHeader, Stage, StateHeader, TWIST_LENGTH,
+    Trace,
 };
-
-/// Labels and units of a command: a twist, then the probability of its gesture.
-const COMMAND_CHANNELS: [(&str, &str); TWIST_LENGTH + 1] = [
-    ("x", "mm/s"),
-    ("y", "mm/s"),
-    ("z", "mm/s"),
-    ("about x", "rad/s"),
-    ("about y", "rad/s"),
-    ("about z", "rad/s"),
-    ("confidence", "1"),
-];
 
 /// The streams of a session.
 pub struct Streams {
@@ -26,8 +16,7 @@ pub struct Streams {
     markers: TextOutlet,
     /// The gesture that was last acted on.
     gesture: Option<u8>,
-    /// Whether the arm may move, and why not, as last said.
-    permission: Option<(u8, u8)>,
+    permission: PermissionChanges,
 }
 
 impl Streams {
@@ -56,7 +45,7 @@ impl Streams {
             markers: TextOutlet::new(lsl, &markers)?,
             gestures,
             gesture: None,
-            permission: None,
+            permission: PermissionChanges::default(),
         })
     }
 
@@ -84,17 +73,7 @@ impl Streams {
 
     /// Gives a marker when the arm may move, or no longer.
     pub fn stated(&mut self, header: &StateHeader) -> Result<(), LslError> {
-        let now = (header.permission, header.stop_reason);
-        if self.permission.replace(now) == Some(now) {
-            return Ok(());
-        }
-        let reason = StopReason::from_number(header.stop_reason);
-        let reason = reason.map_or(String::new(), |reason| format!(": {reason}"));
-        let marker = match Permission::from_number(header.permission) {
-            Permission::Granted => "arm follows".to_owned(),
-            Permission::AwaitRest => format!("arm waits for rest{reason}"),
-            Permission::Stopped => format!("arm is stopped{reason}"),
-        };
+        let Some(marker) = self.permission.said(header.permission, header.stop_reason) else { return Ok(()) };
         self.markers.push(&marker, seconds(header.trace.published_ns[Stage::Robot.index()]))
     }
 }

@@ -12,20 +12,26 @@ use flate2::write::GzEncoder;
 use flate2::{Compression, Crc};
 
 /// Name, media type and content of each file in `web`; the first is the page itself.
-const FILES: [(&str, &str, &[u8]); 16] = [
+const FILES: [(&str, &str, &[u8]); 22] = [
     ("index.html", "text/html; charset=utf-8", include_bytes!("../web/index.html")),
+    ("actions.js", SCRIPT, include_bytes!("../web/actions.js")),
     ("app.js", SCRIPT, include_bytes!("../web/app.js")),
     ("arm.js", SCRIPT, include_bytes!("../web/arm.js")),
+    ("calibration.js", SCRIPT, include_bytes!("../web/calibration.js")),
     ("connection.js", SCRIPT, include_bytes!("../web/connection.js")),
     ("hands.svg", "image/svg+xml", include_bytes!("../web/hands.svg")),
     ("icon.svg", "image/svg+xml", include_bytes!("../web/icon.svg")),
     ("latency.js", SCRIPT, include_bytes!("../web/latency.js")),
+    ("next.js", SCRIPT, include_bytes!("../web/next.js")),
     ("orders.js", SCRIPT, include_bytes!("../web/orders.js")),
+    ("outcome.js", SCRIPT, include_bytes!("../web/outcome.js")),
     ("paint.js", SCRIPT, include_bytes!("../web/paint.js")),
     ("recognition.js", SCRIPT, include_bytes!("../web/recognition.js")),
+    ("requests.js", SCRIPT, include_bytes!("../web/requests.js")),
     ("session.js", SCRIPT, include_bytes!("../web/session.js")),
     ("state.js", SCRIPT, include_bytes!("../web/state.js")),
     ("style.css", "text/css; charset=utf-8", include_bytes!("../web/style.css")),
+    ("task.js", SCRIPT, include_bytes!("../web/task.js")),
     ("texts.js", SCRIPT, include_bytes!("../web/texts.js")),
     ("texts.json", "application/json", include_bytes!("../web/texts.json")),
     ("traces.js", SCRIPT, include_bytes!("../web/traces.js")),

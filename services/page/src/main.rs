@@ -1,16 +1,20 @@
-//! The page of a session: shows it in a browser, and passes on stop and arm. `tendon run --page` and `tendon page` start it.
+//! The page of a session: shows it in a browser, and passes on orders and requests. `tendon run --page` and `tendon page` start it.
 //!
 //! ```text
 //! topics ──looked at every 8 ms──▶ watching thread ─▶ View, Traces ─▶ Audience
 //! browser ◀─ WebSocket ── server, one thread ◀──────────────────────────┘
 //! browser ── orders, with the token ──▶ server ─▶ the robot's own socket
+//! browser ── requests, with the token ▶ server ─▶ the supervisor's socket, and the recorder's for notes
+//! browser ◀─ desk ── server ◀─ desk thread ◀─ the supervisor's status, asked for 20 times a second
 //! ```
 //! It is an observer: nobody waits for it, and its end is not the session's.
 #![forbid(unsafe_code)]
 
 mod access;
+mod desk;
 mod files;
 mod orders;
+mod requests;
 mod server;
 mod traces;
 mod view;
@@ -32,6 +36,7 @@ use tendon_transport::SessionName;
 use crate::access::Access;
 use crate::files::Files;
 use crate::orders::Orders;
+use crate::requests::Requests;
 use crate::server::Page;
 use crate::watching::{Audience, Watched};
 
@@ -84,23 +89,22 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
     let access = Access::new(address, arguments.watch_only).context("no random numbers for a token")?;
     let (orders_link, watch_link) = access.links();
     let audience = Arc::new(Audience::new());
-    let orders = Orders::new(watched.name().clone());
+    let session = watched.name().clone();
+    let (orders, requests) = (Orders::new(session.clone()), Requests::new(session.clone()));
     let files = Files::new().context("cannot compress the page")?;
-    let page = Arc::new(Page::new(access, files, audience.clone(), orders));
+    let page = Arc::new(Page::new(access, files, audience.clone(), orders, requests));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .enable_time()
         .build()
         .context("cannot serve")?;
     let (ended, end) = tokio::sync::oneshot::channel();
-    let watching = move || {
+    let asking = (audience.clone(), stop.clone());
+    start("desk", move || desk::follow(&session, &asking.0, &asking.1))?;
+    start("watching", move || {
         // Whoever waits for it is there until it comes.
         let _ = ended.send(watching::watch(&watched, &audience, &stop));
-    };
-    std::thread::Builder::new()
-        .name("watching".to_owned())
-        .spawn(watching)
-        .context("cannot start a thread")?;
+    })?;
     if let Some(link) = orders_link {
         eprintln!("page: {link}");
     }
@@ -113,6 +117,11 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
     });
     runtime.shutdown_timeout(END_TIMEOUT);
     result
+}
+
+fn start(name: &str, thread: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
+    std::thread::Builder::new().name(name.to_owned()).spawn(thread).context("cannot start a thread")?;
+    Ok(())
 }
 
 fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {

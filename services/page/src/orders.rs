@@ -9,7 +9,7 @@ use tokio::sync::Mutex;
 use tokio::sync::mpsc::Sender;
 
 /// What the page can order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum What {
     /// Stop the arm.
@@ -18,16 +18,26 @@ pub enum What {
     Arm,
 }
 
-/// What came of an order.
+impl What {
+    /// Its name in the answer.
+    pub fn name(self) -> &'static str {
+        match self {
+            What::Stop => "stop",
+            What::Arm => "arm",
+        }
+    }
+}
+
+/// What came of an order or a request.
 #[derive(Clone, Debug, Serialize)]
 pub struct Answer {
-    /// The number that the page gave the order.
+    /// The number that the page gave it.
     pub id: u64,
-    /// The order.
-    pub order: What,
+    /// Its name.
+    pub order: &'static str,
     /// Whether it was carried out.
     pub ok: bool,
-    /// The robot's word, or why it was not asked.
+    /// The word of whoever was asked, or why nobody was.
     pub text: String,
 }
 
@@ -48,7 +58,7 @@ impl Orders {
     /// Gives the robot an order; its answer goes to `answers` when it comes. A stop that comes while the robot is being asked
     /// to arm is given at once, and again afterwards, so that the two cannot overtake each other.
     pub fn give(&self, id: u64, order: What, answers: Sender<Answer>) {
-        let answer = move |(ok, text)| Answer { id, order, ok, text };
+        let answer = move |(ok, text)| Answer { id, order: order.name(), ok, text };
         let (session, arming) = (self.session.clone(), self.arming.clone());
         match (order, arming.clone().try_lock_owned()) {
             (What::Arm, Ok(held)) => {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! GET /ws ─▶ Access ─▶ seat free? ─▶ upgrade ─┬─ writing: hello, then every update, answers; 5 s for each at most
-//!                         503                 └─ reading: ping, orders; whatever is too long, too often or no message
+//!                         503                 └─ reading: ping, orders, requests; whatever is too long, too often or no message
 //!                                                of the page ends the connection
 //! ```
 
@@ -32,6 +32,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use crate::access::{Access, Claimed, Rights};
 use crate::files::Files;
 use crate::orders::{Answer, Orders, What};
+use crate::requests::{Requests, Wish};
 use crate::watching::{Audience, Update};
 
 /// Viewers at a time.
@@ -69,13 +70,21 @@ pub struct Page {
     pub audience: Arc<Audience>,
     /// The way to the robot.
     pub orders: Orders,
+    /// The way to the supervisor and the recorder.
+    pub requests: Requests,
     seats: Arc<Semaphore>,
 }
 
 impl Page {
     /// Without viewers.
-    pub fn new(access: Access, files: Files, audience: Arc<Audience>, orders: Orders) -> Page {
-        Page { access, files, audience, orders, seats: Arc::new(Semaphore::new(SEATS)) }
+    pub fn new(
+        access: Access,
+        files: Files,
+        audience: Arc<Audience>,
+        orders: Orders,
+        requests: Requests,
+    ) -> Page {
+        Page { access, files, audience, orders, requests, seats: Arc::new(Semaphore::new(SEATS)) }
     }
 }
 
@@ -169,6 +178,8 @@ async fn tell(
 ) {
     let mut hello = page.audience.hello.subscribe();
     hello.mark_changed();
+    let mut desk = page.audience.desk.subscribe();
+    desk.mark_changed();
     let mut updates = page.audience.updates.subscribe();
     loop {
         let message = tokio::select! {
@@ -179,6 +190,7 @@ async fn tell(
                 facts["rights"] = rights.name().into();
                 Message::Text(json!({ "hello": facts }).to_string().into())
             }
+            Ok(()) = desk.changed() => Message::Text(desk.borrow_and_update().message(rights)),
             update = updates.recv() => match update {
                 Ok(Update::Text(text)) => Message::Text(text),
                 Ok(Update::Frame(frame)) => Message::Binary(frame),
@@ -216,6 +228,13 @@ impl Reply {
 enum Said {
     Ping { t: f64 },
     Order { id: u64, what: What },
+    Request { id: u64, what: Wish },
+}
+
+/// The answer to somebody who gives an order or asks for something and may only watch.
+fn refusal(id: u64, order: &'static str) -> Answer {
+    let text = "this address only watches: open the one for orders on the session's machine".to_owned();
+    Answer { id, order, ok: false, text }
 }
 
 /// Hears a viewer until it says what no page of ours says.
@@ -251,11 +270,12 @@ async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, re
             Ok(Said::Order { id, what }) if rights == Rights::Orders => {
                 page.orders.give(id, what, answers.clone())
             }
-            Ok(Said::Order { id, what }) => {
-                let text =
-                    "this address only watches: open the one for orders on the session's machine".to_owned();
-                let _ = answers.try_send(Answer { id, order: what, ok: false, text });
+            Ok(Said::Request { id, what }) if rights == Rights::Orders => {
+                page.requests.pass(id, what, answers.clone())
             }
+            // A viewer that takes no answers gets none.
+            Ok(Said::Order { id, what }) => drop(answers.try_send(refusal(id, what.name()))),
+            Ok(Said::Request { id, what }) => drop(answers.try_send(refusal(id, what.name()))),
             Err(_) => return,
         }
     }
@@ -310,12 +330,19 @@ mod tests {
         let understood = |text: &str| serde_json::from_str::<Said>(text).is_ok();
         assert!(understood(r#"{"ping":{"t":12.5}}"#));
         assert!(understood(r#"{"order":{"id":1,"what":"stop"}}"#));
+        assert!(understood(r#"{"request":{"id":1,"what":{"note":"electrode 3 is loose"}}}"#));
+        assert!(understood(r#"{"request":{"id":1,"what":{"record":true}}}"#));
+        assert!(understood(r#"{"request":{"id":1,"what":{"calibration":"go-on"}}}"#));
         for text in [
             "",
             "{}",
             r#"{"order":{"id":1,"what":"start"}}"#,
             r#"{"order":{"id":-1,"what":"stop"}}"#,
             r#"{"order":{"what":"stop"}}"#,
+            r#"{"request":{"id":1,"what":{"note":7}}}"#,
+            r#"{"request":{"id":1,"what":{"note":"a","record":true}}}"#,
+            r#"{"request":{"id":1,"what":"stop"}}"#,
+            r#"{"request":{"what":{"record":true}}}"#,
             r#"{"order":{"id":1,"what":"arm","also":1}}"#,
             r#"{"ping":{"t":1},"order":{"id":1,"what":"arm"}}"#,
         ] {

@@ -6,8 +6,6 @@
 //! measurements ──────────────────────────▶ latency   once a second
 //! ```
 
-use std::path::Path;
-
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 use tendon_config::{Config, Source};
@@ -27,6 +25,23 @@ const PAPER_MEAN_MS: u32 = 324;
 const FIRST_EDGE_NS: u64 = 1000;
 const EDGE_RATIO: f64 = 1.25;
 
+/// What a state says of the arm, besides whether it may move.
+const ARM_KEYS: [&str; 13] = [
+    "position_mm",
+    "orientation_rad",
+    "joints_rad",
+    "speed_mm_per_s",
+    "gripper",
+    "stop_reason",
+    "hindrance",
+    "phase",
+    "gesture",
+    "confidence",
+    "unsure",
+    "mode",
+    "calibration_left_ms",
+];
+
 /// A session as it is now.
 #[derive(Debug)]
 pub struct View {
@@ -42,8 +57,6 @@ pub struct View {
     /// Process of each stage, and how often it was another one.
     processes: [u64; Stage::ALL.len()],
     restarts: u64,
-    /// Whether a recorder writes.
-    pub is_recorded: bool,
 }
 
 impl View {
@@ -60,7 +73,6 @@ impl View {
             measurements: SessionMeasurements::default(),
             processes: [0; Stage::ALL.len()],
             restarts: 0,
-            is_recorded: false,
         }
     }
 
@@ -97,19 +109,20 @@ impl View {
         }
     }
 
-    /// What does not change as long as the session runs. `rights` is for each viewer to add.
-    pub fn hello(&self, joined_ns: u64, bin_ms: f64) -> Value {
+    /// What does not change as long as the session runs. `rights` is for each viewer to add; `desk` is what the supervisor tells.
+    pub fn hello(&self, joined_ns: u64, bin_ms: f64, desk: &Value) -> Value {
         let Config { acquisition, decision, inference, robot, .. } = &self.config;
-        let stem = |path: &Path| path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let joints = tendon_arm::denavit_hartenberg().map(|joint| {
             json!({"a_mm": joint.a_mm, "d_mm": joint.d_mm, "alpha_rad": joint.alpha_rad, "theta_offset_rad": 0.0})
         });
+        let is_calibration = is_calibration(desk);
         json!({
+            "kind": if is_calibration { "calibration" } else { "session" },
             "session": self.config.session.to_string(),
             "version": env!("CARGO_PKG_VERSION"),
             "started_ns": joined_ns,
             "source": acquisition.source.name(),
-            "person": inference.person.as_deref().and_then(stem),
+            "person": desk["person"],
             "model": inference.model,
             "strategy": decision.strategy.name(),
             "sample_rate_hz": acquisition.sample_rate_hz,
@@ -117,58 +130,79 @@ impl View {
             "gestures": decision.gestures.iter().map(|gesture| gesture.name().to_owned()).collect::<Vec<_>>(),
             "modes": decision.modes.iter().map(mode).collect::<Vec<_>>(),
             "workspace_mm": {"min": robot.arm.workspace_min_mm, "max": robot.arm.workspace_max_mm},
-            "arm": {"joints": joints},
+            "arm": (!is_calibration).then(|| json!({"joints": joints})),
             "speed_mm_per_s": decision.speed_mm_per_s,
-            "task": false,
+            "task": !desk["task"].is_null(),
             "paper": {"median_ms": PAPER_MEDIAN_MS, "mean_ms": PAPER_MEAN_MS},
             "bin_ms": bin_ms,
         })
     }
 
-    /// The session now; `None` before the arm has said anything.
-    pub fn now(&self, now_ns: u64, traces: &Traces) -> Option<Value> {
-        let (header, payload) = self.state.as_ref()?;
-        let (joints_rad, position_mm, orientation_rad) =
-            (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
-        let gesture =
-            |number: u8| self.config.decision.gestures.get(number).map(|gesture| gesture.name().to_owned());
+    /// The session now, with what the supervisor tells on its `desk`; `None` before the arm has said anything. A calibration has
+    /// no arm.
+    pub fn now(&self, now_ns: u64, traces: &Traces, desk: &Value) -> Option<Value> {
         let command = self.command.unwrap_or_default();
         let counts = |stage| self.measurements.counts(stage);
         let troubles = traces.troubles();
         let troubles: Vec<Value> =
             troubles.into_iter().map(|(channel, kind)| json!({"channel": channel, "kind": kind})).collect();
         let elapsed_ns = self.started_ns.map_or(0, |started_ns| now_ns.saturating_sub(started_ns));
-        Some(json!({
+        let mut state = json!({
             "now_ns": now_ns,
             "captured_ns": traces.captured_ns(),
             "elapsed_s": elapsed_ns as f64 / 1e9,
-            "position_mm": position_mm,
-            "orientation_rad": orientation_rad,
-            "joints_rad": joints_rad,
-            "speed_mm_per_s": header.speed_mm_per_s,
-            "gripper": header.gripper_position,
-            "permission": kebab_case(&Permission::from_number(header.permission)),
-            "stop_reason": StopReason::from_number(header.stop_reason).map(|reason| kebab_case(&reason)),
-            "hindrance": Hindrance::from_number(header.hindrance).map(|hindrance| hindrance.to_string()),
-            "phase": kebab_case(&ArmPhase::from_number(header.arm_phase)),
-            "gesture": gesture(header.gesture),
-            "voted": gesture(command.voted),
-            "confidence": header.confidence,
-            "unsure": header.is_unsure != 0,
+            "voted": self.gesture(command.voted),
             "novelty": self.novelty,
             "probabilities": self.probabilities,
             "efforts": self.efforts,
-            "mode": header.mode,
-            "calibration_left_ms": header.calibration_left_ms,
-            "zone": null,
-            "recording": self.is_recorded.then_some("session.mcap"),
+            "zone": desk["task"]["zone"],
+            "recording": desk["recording"],
             "lost_samples": counts(Stage::Acquisition).lost_samples,
             "lost_blocks": counts(Stage::Dsp).lost,
             "stale": Stage::ALL.into_iter().map(|stage| counts(stage).stale).sum::<u64>(),
             "restarts": self.restarts,
             "clock_drift_ppm": self.measurements.clock_drift_ppm(),
             "troubles": troubles,
-        }))
+        });
+        let arm = if is_calibration(desk) { no_arm() } else { self.arm()? };
+        for (key, value) in arm {
+            state[key] = value;
+        }
+        Some(state)
+    }
+
+    /// What the arm has said last.
+    fn arm(&self) -> Option<Vec<(&'static str, Value)>> {
+        let (header, payload) = self.state.as_ref()?;
+        let (joints_rad, position_mm, orientation_rad) =
+            (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
+        Some(vec![
+            ("position_mm", json!(position_mm)),
+            ("orientation_rad", json!(orientation_rad)),
+            ("joints_rad", json!(joints_rad)),
+            ("speed_mm_per_s", json!(header.speed_mm_per_s)),
+            ("gripper", json!(header.gripper_position)),
+            ("permission", json!(kebab_case(&Permission::from_number(header.permission)))),
+            (
+                "stop_reason",
+                json!(StopReason::from_number(header.stop_reason).map(|reason| kebab_case(&reason))),
+            ),
+            (
+                "hindrance",
+                json!(Hindrance::from_number(header.hindrance).map(|hindrance| hindrance.to_string())),
+            ),
+            ("phase", json!(kebab_case(&ArmPhase::from_number(header.arm_phase)))),
+            ("gesture", json!(self.gesture(header.gesture))),
+            ("confidence", json!(header.confidence)),
+            ("unsure", json!(header.is_unsure != 0)),
+            ("mode", json!(header.mode)),
+            ("calibration_left_ms", json!(header.calibration_left_ms)),
+        ])
+    }
+
+    /// The name of a gesture of this number.
+    fn gesture(&self, number: u8) -> Option<String> {
+        self.config.decision.gestures.get(number).map(|gesture| gesture.name().to_owned())
     }
 
     /// The latencies so far.
@@ -187,6 +221,16 @@ impl View {
                 summary("newest sample → command", &self.measurements.newest_sample_to_command),
         })
     }
+}
+
+/// Whether a desk is that of a calibration.
+fn is_calibration(desk: &Value) -> bool {
+    desk["kind"] == "calibration"
+}
+
+/// What stands in a state for the arm of a calibration.
+fn no_arm() -> Vec<(&'static str, Value)> {
+    ARM_KEYS.into_iter().map(|key| (key, Value::Null)).chain([("permission", json!("none"))]).collect()
 }
 
 /// The name of a variant in lower case with hyphens: `AwaitRest` is `await-rest`.
@@ -255,7 +299,7 @@ mod tests {
         let config = Config::default();
         let mut view = View::new(&config);
         let traces = Traces::new(&config).unwrap();
-        assert_eq!(view.now(0, &traces), None);
+        assert_eq!(view.now(0, &traces, &Value::Null), None);
         let mut header = StateHeader {
             permission: Permission::AwaitRest.number(),
             stop_reason: StopReason::NoCommands.number(),
@@ -266,14 +310,16 @@ mod tests {
             ..StateHeader::default()
         };
         let payload: Vec<f32> = (0..13u8).map(f32::from).collect();
+        let zone = json!({"center_mm": [1.0, 2.0, 3.0], "width_mm": 20.0});
+        let desk = json!({"recording": "/tmp/session.mcap", "task": {"zone": zone}});
         view.state(&header, &payload);
         view.prediction(0.5, &[0.25, 0.75, 0.5, 1.0]);
-        let state = view.now(5, &traces).unwrap();
+        let state = view.now(5, &traces, &desk).unwrap();
         let expected = json!({
             "permission": "await-rest", "stop_reason": "no-commands", "phase": "going-to-start",
             "hindrance": "a joint cannot go faster", "gripper": null, "gesture": "extension",
             "joints_rad": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "position_mm": [7.0, 8.0, 9.0],
-            "orientation_rad": [10.0, 11.0, 12.0], "probabilities": [0.25, 0.75], "efforts": [0.5, 1.0],
+            "zone": zone, "recording": "/tmp/session.mcap", "orientation_rad": [10.0, 11.0, 12.0], "probabilities": [0.25, 0.75], "efforts": [0.5, 1.0],
         });
         for (key, value) in expected.as_object().unwrap() {
             assert_eq!(&state[key], value, "{key}");
@@ -281,16 +327,33 @@ mod tests {
         // What no sender of ours writes.
         (header.gesture, header.stop_reason, header.permission) = (200, 200, 200);
         view.state(&header, &payload);
-        let state = view.now(5, &traces).unwrap();
+        let state = view.now(5, &traces, &desk).unwrap();
         assert_eq!((&state["gesture"], &state["stop_reason"]), (&Value::Null, &Value::Null));
         assert_eq!(state["permission"], "stopped");
         view.state(&header, &payload[..5]);
-        assert_eq!(view.now(5, &traces), None);
+        assert_eq!(view.now(5, &traces, &desk), None);
+    }
+
+    #[test]
+    fn a_calibration_has_signals_and_no_arm() {
+        let config = Config::default();
+        let (mut view, traces) = (View::new(&config), Traces::new(&config).unwrap());
+        let desk = json!({"kind": "calibration"});
+        let hello = view.hello(7, 8.0, &desk);
+        assert_eq!((&hello["kind"], &hello["arm"]), (&json!("calibration"), &Value::Null));
+        let state = view.now(5, &traces, &desk).unwrap();
+        assert_eq!((&state["permission"], &state["now_ns"]), (&json!("none"), &json!(5)));
+        // The same keys as with an arm.
+        view.state(&StateHeader::default(), &[0.0; 13]);
+        let session = view.now(5, &traces, &json!({"kind": "session"})).unwrap();
+        let keys = |state: &Value| state.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        assert_eq!(keys(&state), keys(&session));
     }
 
     #[test]
     fn hello_tells_what_gestures_do_and_how_the_arm_is_built() {
-        let hello = View::new(&Config::default()).hello(7, 8.0);
+        let hello = View::new(&Config::default()).hello(7, 8.0, &json!({"person": "anna"}));
+        assert_eq!((&hello["person"], &hello["task"]), (&json!("anna"), &json!(false)));
         assert_eq!(hello["modes"][0]["motions"]["extension"], "+z");
         assert_eq!(hello["channels"].as_array().unwrap().len(), 4);
         assert_eq!(hello["gestures"][0], "rest");

@@ -16,6 +16,7 @@ use tendon_messages::{
 use tendon_transport::{Delivery, PolledSubscriber, Session, SessionName, now_ns, own_user};
 use tokio::sync::{broadcast, watch};
 
+use crate::desk::{self, Desk};
 use crate::traces::Traces;
 use crate::view::View;
 
@@ -46,12 +47,18 @@ pub struct Audience {
     pub hello: watch::Sender<Option<Value>>,
     /// What happens in it.
     pub updates: broadcast::Sender<Update>,
+    /// How it stands besides.
+    pub desk: watch::Sender<Desk>,
 }
 
 impl Audience {
     /// Without viewers.
     pub fn new() -> Audience {
-        Audience { hello: watch::Sender::new(None), updates: broadcast::Sender::new(UPDATES) }
+        Audience {
+            hello: watch::Sender::new(None),
+            updates: broadcast::Sender::new(UPDATES),
+            desk: watch::Sender::new(Desk::default()),
+        }
     }
 
     fn tell(&self, name: &str, what: Value) {
@@ -109,7 +116,9 @@ fn watch_session(config: &Config, audience: &Audience, stop: &AtomicBool) -> any
     let Some(process_id) = supervisor() else { return Ok(()) };
     let mut topics = Topics::open(config)?;
     let (mut view, mut traces) = (View::new(config), Traces::new(config)?);
-    audience.hello.send_replace(Some(view.hello(now_ns(), traces.bin_ms())));
+    desk::look(&config.session, audience);
+    let hello = view.hello(now_ns(), traces.bin_ms(), &audience.desk.borrow().facts);
+    audience.hello.send_replace(Some(hello));
     let begun = Instant::now();
     let (mut next_frame, mut next_summary) = (begun, begun);
     while !stop.load(Ordering::Relaxed) {
@@ -123,14 +132,13 @@ fn watch_session(config: &Config, audience: &Audience, stop: &AtomicBool) -> any
                 if let Some(frame) = frame {
                     let _ = audience.updates.send(Update::Frame(frame.into()));
                 }
-                if let Some(state) = view.now(now_ns(), &traces) {
+                if let Some(state) = view.now(now_ns(), &traces, &audience.desk.borrow().facts) {
                     audience.tell("state", state);
                 }
             }
         }
         if now >= next_summary {
             next_summary = now + SUMMARY;
-            view.is_recorded = tendon_process::is_recorded(&config.session);
             audience.tell("latency", view.latency());
             if supervisor() != Some(process_id) {
                 return Ok(());

@@ -1,19 +1,25 @@
 // The page of a session.
 //
-//   server ─▶ Connection ─▶ newest state, frames ─▶ at the next frame of the screen: traces, recognition, arm, large line
-//   buttons, space bar ─▶ Orders ─▶ Connection ─▶ server
+//   server ─▶ Connection ─▶ newest state, desk, frames ─▶ at the next frame of the screen: traces, recognition, arm, large line
+//   STOP, Arm, space bar ─▶ Orders ─────────────────────────────┬▶ Connection ─▶ server
+//   Actions, NextPanel, Calibration (all else) ─▶ Requests ─────┘
 //
 // Messages are only kept when they come; everything is drawn at most once for each frame of the screen. A tab that nobody
 // sees therefore draws nothing, and shows the newest values when it is seen again.
 
+import { Actions } from "./actions.js";
 import { ArmView } from "./arm.js";
+import { Calibration, calibrationStanding } from "./calibration.js";
 import { Connection } from "./connection.js";
 import { Latency } from "./latency.js";
+import { NextPanel } from "./next.js";
 import { Orders } from "./orders.js";
 import { readColours } from "./paint.js";
 import { loadHands, Recognition } from "./recognition.js";
+import { Requests } from "./requests.js";
 import { SessionFacts } from "./session.js";
 import { standing } from "./state.js";
+import { Task } from "./task.js";
 import { chooseLanguage, language, languages, loadTexts, show, text } from "./texts.js";
 import { Traces } from "./traces.js";
 
@@ -24,6 +30,7 @@ readColours();
 
 let hello = null;
 let state = null;
+let desk = null;
 let isStateNew = false;
 let isScheduled = false;
 let spoken = "";
@@ -40,19 +47,30 @@ const recognition = new Recognition();
 const arm = new ArmView(redraw);
 const latency = new Latency();
 const session = new SessionFacts();
+const task = new Task();
 
 const connection = new Connection({
   hello(newHello) {
+    if (hello !== null && hello.started_ns !== newHello.started_ns) requests.begunAnew();
     hello = newHello;
-    state = null;
+    state = desk = null;
     document.title = `${hello.session} · Tendon`;
-    for (const part of [traces, recognition, arm, latency, orders, session]) part.setUp(hello);
+    for (const part of [traces, orders, session, actions, next, calibration]) part.setUp(hello);
+    if (!calibration.isOn) for (const part of [recognition, arm, latency, task]) part.setUp(hello);
     redraw();
   },
   state(newState) {
     state = newState;
     isStateNew = true;
-    orders.showState(state);
+    if (!calibration.isOn) orders.showState(state);
+    requests.look(desk, state);
+    redraw();
+  },
+  desk(newDesk) {
+    desk = newDesk;
+    requests.look(desk, state);
+    for (const part of [actions, next, calibration, arm, task]) part.showDesk(desk);
+    isStateNew = state !== null;
     redraw();
   },
   frame(frame) {
@@ -61,20 +79,32 @@ const connection = new Connection({
     redraw();
   },
   latency: (newLatency) => latency.showLatency(newLatency),
-  answer: (answer) => orders.takeAnswer(answer),
+  answer(answer) {
+    if (answer.order === "stop" || answer.order === "arm") orders.takeAnswer(answer);
+    else requests.takeAnswer(answer);
+  },
   away(why) {
     // Old values are never shown as live ones.
     document.body.classList.toggle("is-away", why !== null);
-    for (const values of document.querySelectorAll("main section:not(#session), #session-facts"))
+    for (const values of document.querySelectorAll("main section:not(#session), #session-facts, #actions"))
       values.inert = why !== null;
     orders.lookAway(why);
     if (why === null) return;
     isStateNew = false;
     latency.lookAway();
+    requests.lookAway();
+    actions.lookAway();
     showAway(why);
   },
 });
 const orders = new Orders(connection);
+const requests = new Requests(connection, () => {
+  actions.refresh();
+  calibration.refresh();
+});
+const actions = new Actions(requests);
+const next = new NextPanel(requests);
+const calibration = new Calibration(requests);
 const afterPaint = new MessageChannel();
 afterPaint.port1.onmessage = () => latency.painted();
 
@@ -82,8 +112,12 @@ function draw() {
   isScheduled = false;
   if (isStateNew && hello !== null && connection.why === null) {
     isStateNew = false;
-    showStanding(standing(hello, state));
-    for (const part of [traces, recognition, arm, latency, session]) part.showState(state);
+    for (const part of [traces, session]) part.showState(state);
+    if (calibration.isOn) showStanding(calibrationStanding(calibration.calibration));
+    else {
+      showStanding(standing(hello, state));
+      for (const part of [recognition, arm, latency, task, actions]) part.showState(state);
+    }
   }
   traces.draw();
   arm.draw();
@@ -92,6 +126,7 @@ function draw() {
 }
 
 function showAway(why) {
+  if (requests.isChanging && (why === "lost" || why === "opening")) why = "changing";
   showStanding({ tone: "away", title: text(`away.${why}`), detail: text(`away.${why}-detail`) });
 }
 
@@ -115,8 +150,7 @@ function chooseAgain(tag) {
   }
   isStateNew = state !== null && connection.why === null;
   if (connection.why) showAway(connection.why);
-  session.refresh();
-  orders.refresh();
+  for (const part of [session, orders, actions, next, calibration]) part.refresh();
   redraw();
 }
 

@@ -4,6 +4,7 @@
 // the arm's left is the screen's left. The base's x points ahead, y to the left, z up.
 
 import { colour, FONT, Sheet } from "./paint.js";
+import { isInZone, zoneOf } from "./task.js";
 import { number, show, text } from "./texts.js";
 
 const START_VIEW = { yaw: -2.55, pitch: 0.42 };
@@ -96,8 +97,12 @@ export class ArmView {
 
   setUp(hello) {
     this.hello = hello;
-    this.state = null;
+    this.state = this.desk = null;
     this.path = [];
+  }
+
+  showDesk(desk) {
+    this.desk = desk;
   }
 
   showState(state) {
@@ -113,10 +118,6 @@ export class ArmView {
     ];
     const opening = gripperOpening(state.gripper);
     if (opening !== null) facts.push(text("gripper-is", { percent: number(100 * opening) }));
-    if (state.zone) {
-      const away = Math.hypot(...state.zone.center_mm.map((centre, axis) => centre - state.position_mm[axis]));
-      facts.push(text("zone-is", { distance: number(away) }));
-    }
     show(this.facts, facts.join(" · "));
   }
 
@@ -129,9 +130,11 @@ export class ArmView {
     this.drawFloor(min, max);
     this.drawBox(min, max);
     if (!state || !this.isKnown) return;
-    if (state.zone) this.drawZone(state.zone);
     this.drawPath();
     this.drawArm(state);
+    // Above the arm, which would hide the target that it is in.
+    const zone = zoneOf(this.desk, state);
+    if (zone) this.drawZone(zone, isInZone(zone, state.position_mm));
   }
 
   /** The projection that shows the workspace box and the arm's base as large as the canvas lets it. */
@@ -221,26 +224,45 @@ export class ArmView {
     context.textAlign = "left";
   }
 
-  drawZone(zone) {
+  /** The target: filled and green while the arm is in it; a line down to the floor tells where it is in space. */
+  drawZone(zone, isInside) {
     const { context } = this.sheet;
     const half = zone.width_mm / 2;
+    const name = isInside ? "good" : "zone";
+    const [x, y, z] = zone.center_mm;
+    this.stroke(
+      [
+        [x, y, z - half],
+        [x, y, 0],
+      ],
+      name,
+      1.5,
+      [2, 5],
+    );
+    context.fillStyle = colour(name);
+    context.globalAlpha = isInside ? 0.45 : 0.22;
     if (zone.shape === "cube") {
       const corner = (bits) => zone.center_mm.map((centre, axis) => centre + ((bits >> axis) & 1 ? half : -half));
+      context.beginPath();
+      hullOf([0, 1, 2, 3, 4, 5, 6, 7].map((bits) => this.project(corner(bits)))).forEach(([px, py]) =>
+        context.lineTo(px, py),
+      );
+      context.fill();
+      context.globalAlpha = 1;
       for (let bits = 0; bits < 8; bits += 1) {
         for (let axis = 0; axis < 3; axis += 1) {
-          if (!((bits >> axis) & 1)) this.stroke([corner(bits), corner(bits | (1 << axis))], "zone", 2.5);
+          if (!((bits >> axis) & 1)) this.stroke([corner(bits), corner(bits | (1 << axis))], name, 2.5);
         }
       }
       return;
     }
-    const [x, y, perspective] = this.project(zone.center_mm);
+    const [px, py, perspective] = this.project(zone.center_mm);
     context.beginPath();
-    context.arc(x, y, half * perspective, 0, 2 * Math.PI);
-    context.fillStyle = context.strokeStyle = colour("zone");
-    context.lineWidth = 2.5;
-    context.globalAlpha = 0.25;
+    context.arc(px, py, half * perspective, 0, 2 * Math.PI);
     context.fill();
     context.globalAlpha = 1;
+    context.strokeStyle = colour(name);
+    context.lineWidth = 3;
     context.stroke();
   }
 
@@ -277,6 +299,21 @@ export class ArmView {
     this.stroke([at(0, 0), at(0, 40)], "joint", width);
     this.stroke([at(-apart, 110), at(-apart, 50), at(apart, 50), at(apart, 110)], "joint", width);
   }
+}
+
+/** The convex hull of points in the plane, in order (Andrew's monotone chain). */
+function hullOf(points) {
+  const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  const turn = (a, b, c) => (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+  const chain = (ordered) => {
+    const kept = [];
+    for (const point of ordered) {
+      while (kept.length > 1 && turn(kept.at(-2), kept.at(-1), point) <= 0) kept.pop();
+      kept.push(point);
+    }
+    return kept.slice(0, -1);
+  };
+  return [...chain(sorted), ...chain(sorted.reverse())];
 }
 
 const middleOf = (corners) => corners[Math.floor(corners.length / 2)];

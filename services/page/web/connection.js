@@ -1,7 +1,7 @@
 // The connection to the server: comes back by itself, and knows the difference between the server's clock and the page's.
 //
-//   server ── hello, state, latency, answer (text), frame (binary) ──▶ handlers
-//          ◀── ping, order ──
+//   server ── hello, state, desk, latency, answer (text), frame (binary) ──▶ handlers
+//          ◀── ping, order, request ──
 
 const PING_MS = 1000;
 /** Until so many pings were answered they go out four times as often. */
@@ -26,7 +26,7 @@ const AWAY = {
 };
 
 export class Connection {
-  /** `handlers`: hello, state, latency, answer, frame, and away, with a reason when values stop and null when they come. */
+  /** `handlers`: hello, state, desk, latency, answer, frame, and away, with a reason when values stop and null when they come. */
   constructor(handlers) {
     this.handlers = handlers;
     this.token = location.hash.slice(1);
@@ -111,6 +111,7 @@ export class Connection {
       this.setAway(null);
       this.handlers.state(message.state);
     } else if (message.hello) this.handlers.hello(message.hello);
+    else if ("desk" in message) this.handlers.desk(message.desk);
     else if (message.latency) this.handlers.latency(message.latency);
     else if (message.answer) this.handlers.answer(message.answer);
   }

@@ -1,11 +1,10 @@
 // STOP and Arm. A button says "asked" when it was pressed and "stopped" only when the arm's state says so.
 
+import { Outcome } from "./outcome.js";
 import { show, text } from "./texts.js";
 
 /** An order that the arm's state does not confirm within this time is said to be unconfirmed. */
 const CONFIRMED_WITHIN_MS = 700;
-/** How long what became of an order is shown. */
-const OUTCOME_MS = 6000;
 
 export class Orders {
   constructor(connection) {
@@ -16,7 +15,9 @@ export class Orders {
     this.state = null;
     this.stop = document.getElementById("stop");
     this.arm = document.getElementById("arm");
-    this.outcome = document.getElementById("order-outcome");
+    this.note = document.getElementById("note-text");
+    this.outcome = new Outcome(document.getElementById("order-outcome"));
+    this.isCalibration = false;
     this.listen();
     this.refresh();
   }
@@ -35,29 +36,43 @@ export class Orders {
     this.arm.addEventListener("click", () => {
       if (this.canArm) this.give("arm");
     });
-    // The space bar stops whatever has the focus, ahead of everything else that would take it.
+    // The space bar stops whatever has the focus, ahead of everything else that would take it. In a note one types a space
+    // and two stop: whoever is startled strikes the bar more than once. A calibration has no arm to stop.
     const isSpace = (event) => event.code === "Space" || event.key === " ";
     window.addEventListener(
       "keydown",
       (event) => {
-        if (!isSpace(event)) return;
+        if (!isSpace(event) || this.isCalibration || this.typesSpace(event)) return;
         event.preventDefault();
         event.stopImmediatePropagation();
-        if (!event.repeat) this.give("stop");
+        if (!event.repeat || event.target === this.note) this.give("stop");
+        this.note.blur();
       },
       true,
     );
     window.addEventListener(
       "keyup",
       (event) => {
-        if (isSpace(event)) event.preventDefault();
+        if (isSpace(event) && !this.isCalibration) event.preventDefault();
       },
       true,
     );
+    for (const kind of ["focus", "blur"]) this.note.addEventListener(kind, () => this.refresh());
+    this.note.addEventListener("keydown", (event) => {
+      if (event.key === "Escape") this.note.blur();
+    });
+  }
+
+  /** Whether this press of the space bar belongs to the note: it follows a letter. */
+  typesSpace(event) {
+    if (event.target !== this.note || event.repeat) return false;
+    const before = this.note.value.slice(0, this.note.selectionStart);
+    return before !== "" && !before.endsWith(" ");
   }
 
   setUp(hello) {
     this.rights = hello.rights;
+    this.isCalibration = hello.kind === "calibration";
     this.refresh();
   }
 
@@ -114,13 +129,7 @@ export class Orders {
   }
 
   tell(key, tone, places) {
-    this.outcome.hidden = false;
-    this.outcome.dataset.tone = tone;
-    show(this.outcome, text(key, places));
-    clearTimeout(this.hiding);
-    this.hiding = setTimeout(() => {
-      this.outcome.hidden = true;
-    }, OUTCOME_MS);
+    this.outcome.tell(text(key, places), tone);
   }
 
   refresh() {
@@ -129,8 +138,7 @@ export class Orders {
     const isStopped = this.state?.permission === "stopped" && !isUnderWay;
     const stopKey = this.asked.has("stop") ? "stop-button-asked" : isStopped ? "stop-button-stopped" : "stop-button";
     show(this.stop.firstElementChild, text(stopKey));
-    const note = this.rights === "watch" ? "watch-note" : this.connection.isOpen ? "stop-note" : "away-note";
-    show(this.stop.lastElementChild, text(note));
+    show(this.stop.lastElementChild, text(this.stopNote()));
     show(this.arm.firstElementChild, text(this.asked.has("arm") ? "arm-button-asked" : "arm-button"));
     show(this.arm.lastElementChild, text("arm-note"));
     this.stop.classList.toggle("is-away", !this.connection.isOpen);
@@ -140,5 +148,11 @@ export class Orders {
     // Not disabled, which would take the focus away from whoever works by keyboard.
     this.canArm = isStopped && this.rights !== "watch";
     this.arm.setAttribute("aria-disabled", String(!this.canArm));
+  }
+
+  stopNote() {
+    if (this.rights === "watch") return "watch-note";
+    if (!this.connection.isOpen) return "away-note";
+    return document.activeElement === this.note ? "stop-note-typing" : "stop-note";
   }
 }

@@ -16,8 +16,13 @@ export function motionOf(hello, state, gesture) {
   return hasText(`motion.${motion}`) ? text(`motion.${motion}`) : motion;
 }
 
+/** The name of a gesture's drawing. */
+export function drawingOf(gesture) {
+  return DRAWN.includes(gesture) ? gesture : "other";
+}
+
 /** The mode's place among the modes; it travels as place or as name. */
-function modeIndex(hello, state) {
+export function modeIndex(hello, state) {
   return typeof state.mode === "number" ? state.mode : hello.modes.findIndex(({ name }) => name === state.mode);
 }
 
@@ -61,7 +66,7 @@ export class Recognition {
   showState(state) {
     const { hello } = this;
     const voted = state.voted ?? state.gesture;
-    const drawing = state.unsure ? "unsure" : DRAWN.includes(voted) ? voted : "other";
+    const drawing = state.unsure ? "unsure" : drawingOf(voted);
     const href = `#hand-${drawing}`;
     const use = this.hand.firstElementChild;
     if (use.getAttribute("href") !== href) use.setAttribute("href", href);

@@ -18,20 +18,21 @@ export class SessionFacts {
   refresh() {
     if (!this.hello) return;
     const { hello } = this;
-    const fixed = {
-      session: hello.session,
-      source: hello.source,
-      person: hello.person ?? text("none"),
-      model: fileName(hello.model) ?? text("none"),
-      strategy: hello.strategy,
-      recording: "",
-      time: "",
-      version: hello.version,
-    };
+    const ofSession =
+      hello.kind === "calibration"
+        ? {}
+        : {
+            person: hello.person ?? text("none"),
+            model: fileName(hello.model) ?? text("none"),
+            strategy: hello.strategy,
+            recording: "",
+          };
+    const fixed = { session: hello.session, source: hello.source, ...ofSession, time: "", version: hello.version };
     this.values.clear();
     this.list.replaceChildren(
       ...Object.entries(fixed).map(([key, value]) => {
         const pair = document.createElement("div");
+        pair.dataset.fact = key;
         const term = pair.appendChild(document.createElement("dt"));
         const words = pair.appendChild(document.createElement("dd"));
         term.textContent = text(`session.${key}`);
@@ -47,17 +48,24 @@ export class SessionFacts {
     this.state = state;
     show(this.values.get("time"), clock(state.elapsed_s));
     const recording = this.values.get("recording");
-    show(recording, state.recording ? `● ${fileName(state.recording)}` : text("not-recorded"));
+    if (!recording) return;
+    show(recording, state.recording ? `● ${recordingName(state.recording)}` : text("not-recorded"));
     recording.classList.toggle("is-recording", Boolean(state.recording));
   }
 }
 
-function fileName(path) {
+/** The last part of a path. */
+export function fileName(path) {
   return path == null ? null : path.split("/").at(-1);
 }
 
+/** A recording has a folder of its own, whose name, the time it began at, tells it from the others. */
+export function recordingName(path) {
+  return path.split("/").at(-2) ?? path;
+}
+
 /** Seconds as h:mm:ss. */
-function clock(seconds) {
+export function clock(seconds) {
   const whole = Math.floor(seconds);
   const two = (value) => String(value).padStart(2, "0");
   return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;

@@ -20,7 +20,7 @@ export function languages() {
   return Object.entries(all).map(([tag, texts]) => [tag, texts["language-name"]]);
 }
 
-/** Takes a language and fills the elements that carry `data-text` or `data-label`. */
+/** Takes a language and fills the elements that carry `data-text`, `data-label` or `data-hint`. */
 export function chooseLanguage(tag) {
   language = tag in all ? tag : "en";
   current = all[language];
@@ -34,6 +34,7 @@ export function chooseLanguage(tag) {
   for (const element of document.querySelectorAll("[data-label]")) {
     element.setAttribute("aria-label", text(element.dataset.label));
   }
+  for (const element of document.querySelectorAll("[data-hint]")) element.placeholder = text(element.dataset.hint);
 }
 
 /** The text of a key, its places filled. A key without a text shows itself, so that a new word of the system is seen. */

@@ -29,7 +29,7 @@ pub enum Command {
     ///
     /// * 3DC: folders ParticipantP/train/EMG and ParticipantP/test/EMG with files 3dc_EMG_gesture_R_G.txt, 1000 Hz.
     ///
-    /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD; saved with `save -v7`), or files
+    /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD), or files
     ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Files in a folder `filtered` need --filtered.
     ///
     /// * Your own: files .edf, .bdf or .xdf whose annotations or markers name gestures; of the person that sub-PERSON_….edf or

@@ -8,11 +8,9 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tendon_observer::{Observer, ObserverError};
 use tendon_report::running_table;
 use tendon_session::become_owner;
-use tendon_transport::SessionName;
 
 use crate::Failure;
-use crate::options::duration;
-use crate::order::user_number;
+use crate::options::{RunningSession, duration};
 use crate::output::{print, print_while_read};
 
 /// Time between two looks at what the stages say.
@@ -21,12 +19,8 @@ const TICK: Duration = Duration::from_millis(50);
 /// Command line of `tendon latency`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Name of the session to look at.
-    #[arg(long, default_value = "tendon")]
-    session: SessionName,
-    /// Whose session, if several users run one of this name; for root.
-    #[arg(long)]
-    user: Option<String>,
+    #[command(flatten)]
+    session: RunningSession,
     /// Time between two tables.
     #[arg(long, value_parser = duration, default_value = "1s")]
     interval: Duration,
@@ -37,9 +31,9 @@ pub struct Options {
 
 /// Shows the latencies since it was started, again and again.
 pub fn show(options: &Options) -> Result<(), Failure> {
-    let user = options.user.as_deref().map(user_number).transpose().map_err(Failure::input)?;
-    become_owner(&options.session, user).map_err(Failure::input)?;
-    let observer = Observer::join(&options.session, "latency").map_err(|error| match error {
+    let session = &options.session;
+    become_owner(&session.name, session.user()?).map_err(Failure::input)?;
+    let observer = Observer::join(&session.name, "latency").map_err(|error| match error {
         ObserverError::Find(_) => Failure::input(error),
         _ => Failure::running(error),
     })?;
@@ -63,7 +57,7 @@ fn watch(options: &Options, mut observer: Observer) -> anyhow::Result<()> {
             let is_read =
                 print_while_read(running_table(begun.elapsed(), observer.measurements()).trim_end())?;
             if !observer.is_running() {
-                print(format_args!("session `{}` has ended", options.session))?;
+                print(format_args!("session `{}` has ended", options.session.name))?;
                 break;
             }
             if !is_read {

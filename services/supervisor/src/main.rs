@@ -13,6 +13,7 @@ mod channels;
 mod checks;
 mod dataset;
 mod delete;
+mod desk;
 mod doctor;
 mod evaluate;
 mod experiments;
@@ -68,9 +69,9 @@ enum Command {
     /// Show the live latencies of a running session.
     Latency(latency::Options),
     /// Stop the arm of a running session at once; it does not move again before `tendon arm`.
-    Stop(order::Options),
+    Stop(options::RunningSession),
     /// Permit the arm of a running session to move again, once the muscles have been at rest.
-    Arm(order::Options),
+    Arm(options::RunningSession),
     /// List where samples can come from: streams on the network, and what is configured.
     Sources(sources::Options),
     /// Show a running session in a browser; waits for it, and for the next of that name.

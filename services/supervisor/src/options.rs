@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
 use clap::Args;
+use nix::unistd::User;
 use tempfile::TempDir;
 use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{AcquisitionSettings, Config, Gestures, Pace, Realtime, Source};
@@ -21,6 +22,7 @@ use tendon_signal::{canonical_unit, known_units};
 use tendon_transport::{Delivery, SessionName, own_user};
 use tendon_zones::TaskKind;
 
+use crate::Failure;
 use crate::model_channels;
 use crate::page;
 use crate::personal::{check_person, set_person};
@@ -141,6 +143,30 @@ impl RecordingOptions {
     }
 }
 
+/// Which running session is meant.
+#[derive(Debug, Args)]
+pub struct RunningSession {
+    /// Name of the session.
+    #[arg(long = "session", value_name = "SESSION", default_value = "tendon")]
+    pub name: SessionName,
+    /// Whose session, if several users run one of this name; for root.
+    #[arg(long)]
+    user: Option<String>,
+}
+
+impl RunningSession {
+    /// The number of the user whose session it is, if one was given, by name or number.
+    pub fn user(&self) -> Result<Option<u32>, Failure> {
+        let number = |name: &String| {
+            let user = User::from_name(name).ok().flatten();
+            user.map(|user| user.uid.as_raw())
+                .or(name.parse().ok())
+                .with_context(|| format!("there is no user `{name}`"))
+        };
+        self.user.as_ref().map(number).transpose().map_err(Failure::input)
+    }
+}
+
 /// What can be said on the command line of `tendon run`; the rest is in the configuration.
 #[derive(Debug, Args)]
 pub struct Options {
@@ -182,7 +208,7 @@ pub struct Options {
     /// The simulated person makes random gestures, set by --seed.
     #[arg(long, conflicts_with_all = ["replay", "keyboard"])]
     random: bool,
-    /// The keys say which gesture the simulated person makes.
+    /// The keys, and the buttons of the page, say which gesture the simulated person makes.
     #[arg(long, conflicts_with = "replay")]
     pub keyboard: bool,
     /// Steer the arm into zones and score how it went. With the simulated amplifier and none of --script, --random and

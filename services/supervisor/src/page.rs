@@ -7,10 +7,9 @@ use std::process::Command;
 use anyhow::Context;
 use clap::Args;
 use tendon_session::become_owner;
-use tendon_transport::SessionName;
 
 use crate::Failure;
-use crate::order::user_number;
+use crate::options::RunningSession;
 
 /// The program that serves the page. It lies beside this one.
 pub const PROGRAM: &str = "tendon-page";
@@ -35,6 +34,11 @@ pub struct RunOptions {
 }
 
 impl RunOptions {
+    /// Whether somebody at the page can give orders.
+    pub fn takes_orders(&self) -> bool {
+        self.page && !self.page_watch_only
+    }
+
     /// For the page's program.
     pub fn arguments(&self) -> Vec<String> {
         arguments(self.page_port, self.page_address, self.page_watch_only)
@@ -44,12 +48,8 @@ impl RunOptions {
 /// Command line of `tendon page`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Name of the session.
-    #[arg(long, default_value = "tendon")]
-    session: SessionName,
-    /// Whose session, if several users run one of this name; for root.
-    #[arg(long)]
-    user: Option<String>,
+    #[command(flatten)]
+    session: RunningSession,
     /// Port of the page; 0 for any that is free.
     #[arg(long, value_name = "PORT", default_value_t = PORT)]
     page_port: u16,
@@ -63,14 +63,14 @@ pub struct Options {
 
 /// Goes on as the program that serves the page.
 pub fn serve(options: &Options) -> Result<(), Failure> {
-    if let Some(user) = &options.user {
-        let user = user_number(user).map_err(Failure::input)?;
-        become_owner(&options.session, Some(user)).map_err(Failure::input)?;
+    let session = &options.session;
+    if let Some(user) = session.user()? {
+        become_owner(&session.name, Some(user)).map_err(Failure::input)?;
     }
     let own =
         std::env::current_exe().context("cannot find this program's folder").map_err(Failure::running)?;
     let error = Command::new(own.with_file_name(PROGRAM))
-        .args(["--session", options.session.to_string().as_str()])
+        .args(["--session", session.name.to_string().as_str()])
         .args(arguments(options.page_port, options.page_address, options.page_watch_only))
         .exec();
     Err(Failure::running(anyhow::Error::new(error).context(format!("cannot start {PROGRAM}"))))

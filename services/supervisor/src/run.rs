@@ -26,6 +26,7 @@ use tendon_session_file::RecordingReport;
 use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::{Contraction, TaskRun};
 
+use crate::desk::SessionDesk;
 use crate::options::Options;
 use crate::personal::check_signal;
 use crate::screen::{KEYS, live_line};
@@ -165,8 +166,11 @@ fn run_locked(
     let has_simulated_user = options.has_simulated_user(config.acquisition.source);
     let task = options.task.map(|kind| zones::task(kind, config, has_simulated_user));
     known.task = task.transpose().map_err(Failure::input)?;
+    let mut desk = SessionDesk::open(config, has_simulated_user, &sender).map_err(Failure::input)?;
     // From before the arm goes to its start position: it can be stopped then, too.
-    let keyboard = if options.keyboard || Keyboard::is_there() {
+    // With a page, gestures can come from there.
+    let needs_keys = options.keyboard && !options.page.page;
+    let keyboard = if needs_keys || Keyboard::is_there() {
         let gestures = options.keyboard.then(|| config.decision.gestures.clone());
         let keyboard = Keyboard::listen(&robot, &sender, gestures.map_or(Keys::Arm, Keys::Gestures));
         Some(keyboard.context("--keyboard").map_err(Failure::input)?)
@@ -177,7 +181,9 @@ fn run_locked(
         .map_err(Failure::input)?;
     let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
     watch.plan_recording(plan.map_err(Failure::input)?).map_err(Failure::input)?;
-    let watched = watch_until_the_end(&mut watch, options, config, &mut known.task, terminal);
+    let watched = watch_until_the_end(&mut watch, options, config, (&mut known.task, &mut desk), terminal);
+    // From now on nobody is told that it runs.
+    drop(desk);
     let task_report = known.task.as_ref().and_then(|task| task.report(watch.observer().states_lost()));
     if let Some(Ok(report)) = task_report.map(serde_json::to_value) {
         watch.keep_task(report);
@@ -205,7 +211,7 @@ fn watch_until_the_end(
     watch: &mut Watch<'_>,
     options: &Options,
     config: &Config,
-    task: &mut Option<TaskRun>,
+    (task, desk): (&mut Option<TaskRun>, &mut SessionDesk),
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     if watch.wait_until_ready().map_err(failure)? == Turn::Over {
@@ -232,6 +238,7 @@ fn watch_until_the_end(
             let Contraction { gesture, effort } = contraction;
             watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: effort as f32 });
         }
+        desk.turn(watch, task.as_ref());
         companions.iter_mut().for_each(Companion::look);
         terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);

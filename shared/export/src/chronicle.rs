@@ -6,7 +6,7 @@
 //! event ──────────────────────────────────────────────────────▶ session, note or recording event
 //! ```
 
-use tendon_messages::{Permission, Stage, StopReason};
+use tendon_messages::{PermissionChanges, Stage};
 use tendon_session_file::{Block, Cue, Event, EventKind, StateRecord};
 
 use crate::{Placed, Survey, Timeline};
@@ -51,15 +51,20 @@ pub(crate) struct Chronicle {
     cue: Option<Cue>,
     /// The gesture that is asked for; its end is not known yet.
     trial: Option<Trial>,
-    /// Whether the arm may move, and why not, as last said.
-    permission: Option<(u8, u8)>,
+    permission: PermissionChanges,
 }
 
 impl Chronicle {
     pub(crate) fn new(survey: &Survey) -> Chronicle {
         let sample_rate_hz = survey.sample_rate_hz;
         let timeline = Timeline::new(sample_rate_hz, survey.begun_ns);
-        Chronicle { timeline, sample_rate_hz, cue: None, trial: None, permission: None }
+        Chronicle {
+            timeline,
+            sample_rate_hz,
+            cue: None,
+            trial: None,
+            permission: PermissionChanges::default(),
+        }
     }
 
     pub(crate) fn block(&mut self, block: &Block) -> Taken {
@@ -102,17 +107,7 @@ impl Chronicle {
 
     /// Whether the arm may move, where that changed.
     pub(crate) fn state(&mut self, state: &StateRecord) -> Option<Happening> {
-        let now = (state.permission, state.stop_reason);
-        if self.permission.replace(now) == Some(now) {
-            return None;
-        }
-        let reason = StopReason::from_number(state.stop_reason);
-        let reason = reason.map_or(String::new(), |reason| format!(": {reason}"));
-        let text = match Permission::from_number(state.permission) {
-            Permission::Granted => "arm follows".to_owned(),
-            Permission::AwaitRest => format!("arm waits for rest{reason}"),
-            Permission::Stopped => format!("arm is stopped{reason}"),
-        };
+        let text = self.permission.said(state.permission, state.stop_reason)?;
         Some(Happening { at_s: self.state_s(state), kind: "arm", text })
     }
 

@@ -12,23 +12,12 @@
 
 use std::io::{self, Write};
 
-use tendon_messages::TWIST_LENGTH;
+use tendon_messages::{COMMAND_CHANNELS, TWIST_LENGTH};
 use tendon_session_file::{Block, CommandRecord, Message, Number, PredictionRecord, Reader};
 
 use crate::chronicle::{Chronicle, Happening};
 use crate::xdf::{StreamId, Values, XdfChannel, XdfStream, XdfWriter};
 use crate::{ExportError, Survey};
-
-/// Labels and units of a command.
-const COMMAND_CHANNELS: [(&str, &str); TWIST_LENGTH + 1] = [
-    ("x", "mm/s"),
-    ("y", "mm/s"),
-    ("z", "mm/s"),
-    ("about x", "rad/s"),
-    ("about y", "rad/s"),
-    ("about z", "rad/s"),
-    ("confidence", "1"),
-];
 
 /// Writes the session of `survey` as XDF. `has_read` is told how many bytes of the recording were read so far.
 ///

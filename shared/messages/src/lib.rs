@@ -25,7 +25,7 @@ mod topic;
 
 pub use arm::{ArmPhase, Hindrance};
 pub use measurement::{Measured, Measurement, MeasurementHeader, MessageTimes};
-pub use permission::{Permission, StopReason};
+pub use permission::{Permission, PermissionChanges, StopReason};
 pub use topic::{BLOCKS, COMMANDS, MEASUREMENTS, PREDICTIONS, STATES, Topic, WINDOWS};
 
 use iceoryx2::prelude::ZeroCopySend;
@@ -322,6 +322,17 @@ numbered! {
 
 /// Length of a command's payload.
 pub const TWIST_LENGTH: usize = 6;
+
+/// Labels and units of a command where others read it: the twist, then the probability of its gesture.
+pub const COMMAND_CHANNELS: [(&str, &str); TWIST_LENGTH + 1] = [
+    ("x", "mm/s"),
+    ("y", "mm/s"),
+    ("z", "mm/s"),
+    ("about x", "rad/s"),
+    ("about y", "rad/s"),
+    ("about z", "rad/s"),
+    ("confidence", "1"),
+];
 
 /// Length of a state's payload: seven joints (rad), position (mm), roll, pitch, yaw (rad).
 pub const STATE_LENGTH: usize = 13;

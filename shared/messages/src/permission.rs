@@ -75,6 +75,31 @@ numbered! {
     }
 }
 
+/// Says in words whether the arm may move, each time that changes.
+#[derive(Clone, Debug, Default)]
+pub struct PermissionChanges {
+    /// As last said.
+    last: Option<(u8, u8)>,
+}
+
+impl PermissionChanges {
+    /// What to say of this [`StateHeader::permission`](crate::StateHeader::permission) and
+    /// [`StateHeader::stop_reason`](crate::StateHeader::stop_reason); `None` if it is what was last said.
+    pub fn said(&mut self, permission: u8, stop_reason: u8) -> Option<String> {
+        let now = (permission, stop_reason);
+        if self.last.replace(now) == Some(now) {
+            return None;
+        }
+        let reason = StopReason::from_number(stop_reason);
+        let reason = reason.map_or(String::new(), |reason| format!(": {reason}"));
+        Some(match Permission::from_number(permission) {
+            Permission::Granted => "arm follows".to_owned(),
+            Permission::AwaitRest => format!("arm waits for rest{reason}"),
+            Permission::Stopped => format!("arm is stopped{reason}"),
+        })
+    }
+}
+
 impl StopReason {
     /// Whether it says how the arm was found at the start: then it has not been stopped, and waits for its first
     /// `tendon arm`.

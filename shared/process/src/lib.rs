@@ -16,6 +16,7 @@ mod error;
 mod measure;
 mod notes;
 mod orders;
+mod requests;
 mod scheduling;
 
 use std::io::{IsTerminal, Write};
@@ -33,8 +34,12 @@ pub use allocations::allocations;
 pub use control::{Control, Wake};
 pub use error::{ProcessError, WorkError, with_causes};
 pub use measure::{BATCH_LENGTH, Measurements};
-pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, is_recorded, leave_note};
+pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, leave_note};
 pub use orders::{Asker, Order, OrderError, order_robot};
+pub use requests::{
+    Answer, Asked, CalibrationRequest, GestureRequest, Next, NextCalibration, NextSession, Request,
+    RequestError, RequestSocket, ask_session, session_status,
+};
 pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 
 /// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older

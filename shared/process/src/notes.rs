@@ -7,14 +7,12 @@
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use nix::errno::Errno;
-use nix::sys::socket::UnixAddr;
-use tendon_paths::claimed_names;
 use tendon_transport::{SessionName, own_user};
 
-use crate::orders::{Asker, Socket};
+use crate::orders::{AskError, Asker, Socket, ask};
 
 /// Longest note, bytes.
 pub const LONGEST_NOTE: usize = 2000;
@@ -28,7 +26,8 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 pub enum NoteError {
     /// Nothing is recorded under that name.
     #[error(
-        "session `{0}` is not being recorded, so nobody keeps a note: start it with --record FOLDER, or press w in it"
+        "session `{0}` is not being recorded, so nobody keeps a note: start it with --record FOLDER, press w in it, or begin \
+         a recording on its page"
     )]
     NotRecorded(SessionName),
     /// There is nothing in it.
@@ -56,12 +55,6 @@ pub enum NoteError {
 /// What the recorder's socket is called in the kernel. It is no file, so nobody can remove it.
 fn listening_name(session: &SessionName) -> String {
     format!("tendon.{}.{session}.notes", own_user())
-}
-
-/// Whether a recorder listens for notes on this user's session: then the session is being recorded.
-pub fn is_recorded(session: &SessionName) -> bool {
-    let name = listening_name(session);
-    claimed_names(&name).contains(&name)
 }
 
 /// A note, and who waits for the answer.
@@ -129,30 +122,12 @@ pub fn leave_note(session: &SessionName, text: &str) -> Result<String, NoteError
     if text.len() > LONGEST_NOTE {
         return Err(NoteError::TooLong { length: text.len() });
     }
-    let failed = |source: std::io::Error| NoteError::Socket { session: session.clone(), source };
-    let system = |error: Errno| failed(error.into());
-    let to = UnixAddr::new_abstract(listening_name(session).as_bytes()).map_err(system)?;
-    let socket = UnixDatagram::unbound().map_err(failed)?;
-    socket.set_read_timeout(Some(ANSWER_TIMEOUT)).map_err(failed)?;
-    let mut own = Socket::new(socket).map_err(failed)?;
-    match own.send(text, &to) {
-        Ok(_) => {}
-        Err(Errno::ECONNREFUSED | Errno::EPIPE) => return Err(NoteError::NotRecorded(session.clone())),
-        Err(Errno::EAGAIN) => return Err(NoteError::NoAnswer(session.clone())),
-        Err(error) => return Err(system(error)),
-    }
-    let asked = Instant::now();
-    let mut answer = [0; LONGEST_ANSWER];
-    while asked.elapsed() < ANSWER_TIMEOUT {
-        match own.receive(&mut answer) {
-            Ok(datagram) if datagram.user == own_user() => {
-                return Ok(String::from_utf8_lossy(&answer[..datagram.length]).into_owned());
-            }
-            Ok(_) | Err(Errno::EPERM | Errno::EINTR) => {}
-            Err(_) => break,
-        }
-    }
-    Err(NoteError::NoAnswer(session.clone()))
+    let answered = ask(&listening_name(session), own_user(), text, ANSWER_TIMEOUT, LONGEST_ANSWER);
+    answered.map_err(|error| match error {
+        AskError::Nobody => NoteError::NotRecorded(session.clone()),
+        AskError::NoAnswer => NoteError::NoAnswer(session.clone()),
+        AskError::Socket(source) => NoteError::Socket { session: session.clone(), source },
+    })
 }
 
 #[cfg(test)]

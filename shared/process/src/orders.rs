@@ -164,6 +164,64 @@ impl Socket {
     }
 }
 
+/// What somebody at a socket of the kernel answers to `text`. `user` is whose answer counts: whoever else listens at that name
+/// is not heard. It waits `timeout` for at most `longest_answer` bytes.
+pub(crate) fn ask(
+    name: &str,
+    user: u32,
+    text: &str,
+    timeout: Duration,
+    longest_answer: usize,
+) -> Result<String, AskError> {
+    let to = UnixAddr::new_abstract(name.as_bytes())?;
+    let socket = UnixDatagram::unbound()?;
+    socket.set_read_timeout(Some(timeout))?;
+    let mut own = Socket::new(socket)?;
+    match own.send(text, &to) {
+        Ok(_) => {}
+        // The second when its process is about to end.
+        Err(Errno::ECONNREFUSED | Errno::EPIPE) => return Err(AskError::Nobody),
+        // Its queue is full of what it does not take.
+        Err(Errno::EAGAIN) => return Err(AskError::NoAnswer),
+        Err(error) => return Err(error.into()),
+    }
+    let asked = Instant::now();
+    let mut answer = vec![0; longest_answer];
+    while asked.elapsed() < timeout {
+        match own.receive(&mut answer) {
+            Ok(datagram) if datagram.user == user => {
+                return Ok(String::from_utf8_lossy(&answer[..datagram.length]).into_owned());
+            }
+            Ok(_) | Err(Errno::EPERM | Errno::EINTR) => {}
+            Err(_) => break,
+        }
+    }
+    Err(AskError::NoAnswer)
+}
+
+/// Why there is no answer.
+#[derive(Debug)]
+pub(crate) enum AskError {
+    /// Nobody listens.
+    Nobody,
+    /// Somebody listens but does not answer in time.
+    NoAnswer,
+    /// The socket could not be used.
+    Socket(std::io::Error),
+}
+
+impl From<std::io::Error> for AskError {
+    fn from(error: std::io::Error) -> AskError {
+        AskError::Socket(error)
+    }
+}
+
+impl From<Errno> for AskError {
+    fn from(error: Errno) -> AskError {
+        AskError::Socket(error.into())
+    }
+}
+
 /// Somebody who waits for an answer.
 #[derive(Debug)]
 pub struct Asker(pub(crate) UnixAddr);
@@ -248,36 +306,13 @@ fn addressee(session: &SessionName, wanted: Option<u32>) -> Result<u32, FindErro
 /// [`OrderError`] when there is no such session, or nobody answers.
 pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Result<String, OrderError> {
     let user = addressee(session, user)?;
-    let failed = |source: std::io::Error| OrderError::Socket { session: session.clone(), source };
-    let system = |error: Errno| failed(error.into());
-    let to = UnixAddr::new_abstract(listening_name(user, session).as_bytes()).map_err(system)?;
-    let socket = UnixDatagram::unbound().map_err(failed)?;
     let timeout = if order == Order::Arm { ARM_ANSWER_TIMEOUT } else { ANSWER_TIMEOUT };
-    socket.set_read_timeout(Some(timeout)).map_err(failed)?;
-    let mut own = Socket::new(socket).map_err(failed)?;
-    match own.send(&order.line(), &to) {
-        Ok(_) => {}
-        // The second when its robot process is about to end.
-        Err(Errno::ECONNREFUSED | Errno::EPIPE) => {
-            return Err(FindError::NotRunning { session: session.clone() }.into());
-        }
-        // Its queue is full of orders that it does not take.
-        Err(Errno::EAGAIN) => return Err(OrderError::NoAnswer(session.clone())),
-        Err(error) => return Err(system(error)),
-    }
-    let asked = Instant::now();
-    let mut answer = [0; MAXIMUM_LINE_LENGTH];
-    while asked.elapsed() < timeout {
-        match own.receive(&mut answer) {
-            // Whoever else listens at that name cannot say that the arm is stopped.
-            Ok(datagram) if datagram.user == user => {
-                return Ok(String::from_utf8_lossy(&answer[..datagram.length]).into_owned());
-            }
-            Ok(_) | Err(Errno::EPERM | Errno::EINTR) => {}
-            Err(_) => break,
-        }
-    }
-    Err(OrderError::NoAnswer(session.clone()))
+    let name = listening_name(user, session);
+    ask(&name, user, &order.line(), timeout, MAXIMUM_LINE_LENGTH).map_err(|error| match error {
+        AskError::Nobody => FindError::NotRunning { session: session.clone() }.into(),
+        AskError::NoAnswer => OrderError::NoAnswer(session.clone()),
+        AskError::Socket(source) => OrderError::Socket { session: session.clone(), source },
+    })
 }
 
 #[cfg(test)]

@@ -1,103 +1,61 @@
-//! Numbers out of MATLAB's MAT-files, level 5: what `save -v7`, `save -v6` and SciPy write.
+//! Numbers out of MATLAB's MAT-files: of level 5, which `save -v7`, `save -v6` and SciPy write, and of version 7.3, which
+//! `save -v7.3` and hdf5storage write.
 //!
 //! ```text
-//! 124 bytes text and offsets | version 0x0100 | IM: little endian
-//! type, bytes | data            a variable is a matrix (type 14) …
-//! type, bytes | zlib stream     … or a compressed one (type 15), in which the same is found
-//!   matrix: flags, dimensions, name, then the values column by column, in the smallest type that holds them
+//! level 5   a compressed element a variable       (level5, element)
+//! 7.3       HDF5, a matrix a variable             (hdf5)
 //! ```
 //! Variables of MATLAB's own classes (text, cells, structures, objects such as `string` and `datetime`) are known by name only.
 //!
-//! A matrix is read column by column as it is decompressed: of one of 1280000 × 4 only the columns asked for come
-//! into memory, as `f32`.
+//! A matrix is read as it is decompressed: of one of 1280000 × 4 only the columns asked for come into memory, as `f32`.
 
 mod element;
+mod hdf5;
+mod level5;
 mod problem;
+mod variable;
 
-use std::io::{BufReader, Read, Seek, SeekFrom};
-
-use flate2::bufread::ZlibDecoder;
+use std::io::{Read, Seek, SeekFrom};
 
 pub use problem::MatError;
 
-use element::{COMPRESSED, INT8, INT32, MATRIX, Tag, UINT32, Values, read};
+use variable::{Place, Variable, Visit};
 
 /// An open MAT-file.
 #[derive(Debug)]
 pub struct MatFile<R> {
     file: R,
     variables: Vec<Variable>,
+    /// Where the HDF5 in it begins; 0 of level 5.
+    superblock: u64,
 }
-
-/// A variable of the file, its values not yet read.
-#[derive(Clone, Debug)]
-struct Variable {
-    name: String,
-    /// What it is, if no full matrix of real numbers.
-    other: Option<String>,
-    rows: usize,
-    columns: usize,
-    /// Where its element begins in the file: the tag.
-    position: u64,
-}
-
-/// Class of objects whose contents only MATLAB understands.
-const OPAQUE: u8 = 17;
-
-/// MATLAB allows names of 63 bytes; what is longer is damage.
-const MAX_NAME_BYTES: u32 = 1 << 12;
 
 impl<R: Read + Seek> MatFile<R> {
     /// Reads which variables `file` holds.
     ///
     /// # Errors
-    /// When it is not a MAT-file of level 5, or damaged.
-    pub fn open(file: R) -> Result<MatFile<R>, MatError> {
-        let mut mat = MatFile { file, variables: Vec::new() };
-        let length = mat.file.seek(SeekFrom::End(0))?;
-        mat.file.seek(SeekFrom::Start(0))?;
+    /// When it is not a MAT-file of level 5 or version 7.3, or damaged.
+    pub fn open(mut file: R) -> Result<MatFile<R>, MatError> {
         let mut header = [0; 128];
-        if length < 128 {
+        if file.seek(SeekFrom::End(0))? < 128 {
             return Err(MatError::NoMatFile);
         }
-        mat.file.read_exact(&mut header)?;
+        file.seek(SeekFrom::Start(0))?;
+        file.read_exact(&mut header)?;
         match (&header[124..126], &header[126..]) {
-            _ if header.starts_with(b"\x89HDF") => return Err(MatError::Hdf5),
-            ([0x00, 0x02], b"IM") | ([0x02, 0x00], b"MI") => return Err(MatError::Hdf5),
-            ([0x00, 0x01], b"IM") => {}
+            _ if header.starts_with(b"\x89HDF") => {}
+            ([0x00, 0x02], b"IM") | ([0x02, 0x00], b"MI") => {}
+            ([0x00, 0x01], b"IM") => {
+                let variables = level5::variables(&mut file)?;
+                return Ok(MatFile { file, variables, superblock: 0 });
+            }
             ([0x01, 0x00], b"MI") => return Err(MatError::BigEndian),
             _ => return Err(MatError::NoMatFile),
         }
-        let mut position = 128;
-        while position < length {
-            mat.file.seek(SeekFrom::Start(position))?;
-            let tag = Tag::read(&mut mat.file)?;
-            let next = position + 8 + u64::from(tag.bytes);
-            if next > length {
-                return Err(MatError::Damaged("it ends within a variable"));
-            }
-            if matches!(tag.kind, MATRIX | COMPRESSED) {
-                let variable = Variable::read_head(&mut mat.matrix(position)?, position)?;
-                mat.variables.extend(variable);
-            }
-            position = next;
-        }
-        Ok(mat)
-    }
-
-    /// The matrix whose element begins at `position`, after its tag.
-    fn matrix(&mut self, position: u64) -> Result<Box<dyn Read + '_>, MatError> {
-        self.file.seek(SeekFrom::Start(position))?;
-        let tag = Tag::read(&mut self.file)?;
-        let element = BufReader::new((&mut self.file).take(u64::from(tag.bytes)));
-        if tag.kind == MATRIX {
-            return Ok(Box::new(element));
-        }
-        let mut element = BufReader::new(ZlibDecoder::new(element));
-        if Tag::read(&mut element)?.kind != MATRIX {
-            return Err(MatError::Damaged("a compressed element is not a variable"));
-        }
-        Ok(Box::new(element))
+        let superblock = hdf5::superblock(&mut file)?;
+        let superblock = superblock.ok_or(MatError::Damaged("it should hold HDF5, and holds none"))?;
+        let variables = hdf5::variables(&mut file, superblock)?;
+        Ok(MatFile { file, variables, superblock })
     }
 
     fn variable(&self, name: &'static str) -> Result<Variable, MatError> {
@@ -117,10 +75,12 @@ impl<R: Read + Seek> MatFile<R> {
         if variable.other.is_some() || (variable.rows, variable.columns) != (1, 1) {
             return Ok(None);
         }
-        let mut matrix = self.matrix(variable.position)?;
-        Variable::read_head(&mut matrix, variable.position)?;
-        let mut values = Values::read_tag(&mut matrix)?;
-        Ok(Some(values.next(&mut matrix)?))
+        let mut number = None;
+        self.read_values(&variable, &[0], &mut |_, value| {
+            number = Some(value);
+            Ok(())
+        })?;
+        Ok(number)
     }
 
     /// Rows and columns of the matrix `name`.
@@ -154,91 +114,40 @@ impl<R: Read + Seek> MatFile<R> {
         if let Some(&channel) = channels.iter().find(|&&channel| places(channel) > 1) {
             return Err(MatError::ChosenTwice(channel));
         }
+        // No more room at once than a damaged length can do harm with.
+        let room = rows.min(1 << 24);
+        let mut samples: Vec<Vec<f32>> = channels.iter().map(|_| Vec::with_capacity(room)).collect();
         let variable = self.variable(name)?;
-        let mut matrix = self.matrix(variable.position)?;
-        Variable::read_head(&mut matrix, variable.position)?;
-        let mut values = Values::read_tag(&mut matrix)?;
-        if values.bytes != rows as u64 * columns as u64 * values.size() as u64 {
-            return Err(MatError::Damaged("the values are not as many as the dimensions say"));
-        }
-        let mut chosen = vec![Vec::new(); channels.len()];
-        for column in 0..=channels.iter().copied().max().unwrap_or(0) {
-            let place = channels.iter().position(|&channel| channel == column);
-            // No more room at once than a damaged length can do harm with.
-            let mut samples = Vec::with_capacity(if place.is_some() { rows.min(1 << 24) } else { 0 });
-            for row in 0..rows {
-                let value = values.next(&mut matrix)? as f32;
-                if place.is_some() {
-                    if !value.is_finite() {
-                        return Err(MatError::NotFinite { row, column });
-                    }
-                    samples.push(value);
-                }
+        self.read_values(&variable, channels, &mut |column, value| {
+            let place = channels.iter().position(|channel| *channel == column);
+            let Some(samples) = place.and_then(|place| samples.get_mut(place)) else { return Ok(()) };
+            let value = value as f32;
+            if !value.is_finite() {
+                return Err(MatError::NotFinite { row: samples.len(), column });
             }
-            if let Some(place) = place {
-                chosen[place] = samples;
+            samples.push(value);
+            Ok(())
+        })?;
+        Ok(samples)
+    }
+
+    /// Gives the values of the `chosen` columns of `variable`.
+    fn read_values(
+        &mut self,
+        variable: &Variable,
+        chosen: &[usize],
+        visit: &mut Visit<'_>,
+    ) -> Result<(), MatError> {
+        match &variable.place {
+            Place::Element(position) => {
+                level5::read_values(&mut self.file, variable, *position, chosen, visit)
             }
+            Place::Hdf5(dataset) => {
+                dataset.read(&mut hdf5::Reader::new(&mut self.file, self.superblock)?, chosen, visit)
+            }
+            Place::Nowhere => Ok(()),
         }
-        Ok(chosen)
     }
-}
-
-impl Variable {
-    /// Reads a matrix up to its values; `None` if it has no name or is no matrix at all.
-    fn read_head(matrix: &mut dyn Read, position: u64) -> Result<Option<Variable>, MatError> {
-        let flags = Tag::read(matrix)?;
-        if flags.kind != UINT32 || flags.bytes != 8 {
-            return Ok(None);
-        }
-        let [class, flags, ..] = read::<8>(matrix)?;
-        if class == OPAQUE {
-            return Variable::read_opaque(matrix, position).map(Some);
-        }
-        let dimensions = Tag::read(matrix)?;
-        if dimensions.kind != INT32 || dimensions.bytes < 8 || dimensions.bytes > MAX_NAME_BYTES {
-            return Err(MatError::Damaged("a variable has no dimensions"));
-        }
-        let lengths = dimensions.read_data(matrix)?;
-        let mut lengths = lengths
-            .chunks_exact(4)
-            .map(|length| u32::from_le_bytes([length[0], length[1], length[2], length[3]]) as usize);
-        let (rows, columns) = (lengths.next().unwrap_or(0), lengths.next().unwrap_or(0));
-        let is_flat = lengths.next().is_none();
-        let name = read_name(matrix)?;
-        const COMPLEX: u8 = 0x08;
-        let other = match class {
-            1 => Some("a cell array"),
-            2 => Some("a structure"),
-            3 => Some("an object"),
-            4 => Some("text"),
-            5 => Some("a sparse matrix"),
-            // Double, single and the integers.
-            6..=15 if flags & COMPLEX != 0 => Some("a matrix of complex numbers"),
-            6..=15 if !is_flat => Some("an array of more than two dimensions"),
-            6..=15 => None,
-            16 => Some("a function handle"),
-            _ => Some("of a class that is not known"),
-        };
-        Ok(Some(Variable { name, other: other.map(str::to_owned), rows, columns, position }))
-    }
-
-    /// Reads the head of an object of a MATLAB class, such as `string` and `datetime`. After the flags, it has three names
-    /// instead of dimensions and a name: its own, the system (`MCOS`, `java`) and the class.
-    fn read_opaque(matrix: &mut dyn Read, position: u64) -> Result<Variable, MatError> {
-        let name = read_name(matrix)?;
-        read_name(matrix)?;
-        let class = read_name(matrix)?;
-        let other = Some(format!("of the MATLAB class {class}"));
-        Ok(Variable { name, other, rows: 0, columns: 0, position })
-    }
-}
-
-fn read_name(matrix: &mut dyn Read) -> Result<String, MatError> {
-    let name = Tag::read(matrix)?;
-    if name.kind != INT8 || name.bytes > MAX_NAME_BYTES {
-        return Err(MatError::Damaged("a variable has no name"));
-    }
-    Ok(String::from_utf8_lossy(&name.read_data(matrix)?).into_owned())
 }
 
 #[cfg(test)]
@@ -247,7 +156,7 @@ mod tests {
 
     use proptest::prelude::*;
 
-    use super::element::{DOUBLE, UINT8};
+    use super::element::{DOUBLE, INT8, INT32, MATRIX, UINT8, UINT32};
     use super::*;
 
     /// Made by `tests/golden/make_mat.py`: `data` 6 × 4, value = 10 row + column + 0.25, `fs` 2000, `iD` 7,
@@ -347,7 +256,7 @@ mod tests {
     fn other_files_are_told_apart() {
         let mut newer = PLAIN_FILE.to_vec();
         newer[124..128].copy_from_slice(b"\x00\x02IM");
-        assert!(open(&newer).unwrap_err().to_string().contains("save -v7"));
+        assert!(open(&newer).unwrap_err().to_string().contains("it should hold HDF5"));
         newer[124..128].copy_from_slice(b"\x01\x00MI");
         assert!(matches!(open(&newer), Err(MatError::BigEndian)));
         assert!(matches!(open(b"1,2,3\n"), Err(MatError::NoMatFile)));

@@ -18,35 +18,29 @@
 
 mod cells;
 mod channel;
+mod choice;
 mod clock;
 mod column;
 mod counts;
 mod head;
 mod problem;
+mod timing;
 
 pub use channel::Channel;
 pub(crate) use channel::places;
+pub(crate) use choice::{cells_of_column, columns_by_name, truth};
+pub use choice::{columns, first_muscles, muscles};
 pub use column::{Column, ColumnKind};
 pub use problem::{Rate, TableError, TableProblem};
-
-use std::fmt;
+pub(crate) use timing::is_same_rate;
+pub use timing::{Timing, TimingRemark};
 
 use cells::{
-    Cells, Line, Separator, excerpt, is_missing, is_text, line_at, number, sample, text_start,
-    unusual_sample, without_quotes,
+    Cells, Line, Separator, excerpt, is_missing, is_text, line_at, number, sample, text_start, unusual_sample,
 };
-use clock::{Clock, Measured};
-use column::{Shape, kind_of, truth_rank};
+use clock::Clock;
 use head::Head;
 use problem::error_at;
-
-/// Rows at the beginning by which the kinds of columns are found out.
-const ROWS_AT_START: usize = 2048;
-/// Places further on, and rows at each.
-const PLACES: usize = 8;
-const ROWS_AT_PLACE: usize = 128;
-/// Share by which two rates of the same samples may differ.
-const SAME_RATE: f64 = 0.01;
 
 /// What [`Table::next_row`] found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,58 +53,6 @@ pub enum Row {
     Gap(u64),
     /// The end.
     End,
-}
-
-/// What a table says about its time.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Timing {
-    /// Its sampling rate in Hz, if it tells.
-    pub rate_hz: Option<f64>,
-    /// What its user should know.
-    pub remark: Option<TimingRemark>,
-}
-
-/// What is odd about the time of a table.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum TimingRemark {
-    /// The column of time does not rise from sample to sample: gaps are not seen in it.
-    Bursts {
-        /// The column.
-        column: String,
-    },
-    /// No unit says what the column counts.
-    TakenAsMilliseconds {
-        /// The column.
-        column: String,
-    },
-    /// The lines before the table state another rate than the column of time has, which holds.
-    StatedOtherwise {
-        /// The column.
-        column: String,
-        /// Its rate.
-        rate_hz: Rate,
-        /// The stated one.
-        stated_hz: Rate,
-    },
-}
-
-impl fmt::Display for TimingRemark {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            TimingRemark::Bursts { column } => write!(
-                out,
-                "its samples come in bursts by column `{column}`, which is not used for the rate or to find missing samples"
-            ),
-            TimingRemark::TakenAsMilliseconds { column } => write!(
-                out,
-                "column `{column}` rises by 1 and states no unit: it is taken as ms, so 1000 Hz; give the rate if it is another"
-            ),
-            TimingRemark::StatedOtherwise { column, rate_hz, stated_hz } => write!(
-                out,
-                "its first lines state {stated_hz} Hz, but column `{column}` rises with {rate_hz} Hz, which is taken"
-            ),
-        }
-    }
 }
 
 /// How a text table is laid out, which of its columns are wanted, and how far it has been read.
@@ -130,123 +72,6 @@ pub struct Table {
     position: usize,
     /// Lines read so far.
     line: u64,
-}
-
-/// What the columns of the table in `text` are, by its head and some of its rows.
-///
-/// # Errors
-/// When there are no samples, with the place where they should be.
-pub fn columns(text: &[u8]) -> Result<Vec<Column>, TableError> {
-    let Head { separator, columns, names, units, rates_hz, position, .. } = Head::find(text)?;
-    let has_comma = separator != Separator::Byte(b',');
-    let mut shapes = vec![Shape::default(); columns];
-    let mut read_rows = |mut position: usize, rows: usize| {
-        for row in 0..rows {
-            let Some(line) = line_at(text, position) else { break };
-            position = line.next;
-            if line.content.trim_ascii().is_empty() {
-                continue;
-            }
-            for (shape, cell) in shapes.iter_mut().zip(Cells::of(line.content, separator)) {
-                shape.push(cell, is_missing(cell), has_comma, row > 0);
-            }
-        }
-        position
-    };
-    let mut next = read_rows(position, ROWS_AT_START);
-    for place in 1..=PLACES {
-        let wanted = position + (text.len() - position) / PLACES * place;
-        // The last one ends with the text.
-        let length = (next - position).min(text.len() - position) * ROWS_AT_PLACE / ROWS_AT_START;
-        let wanted = wanted.saturating_sub(length.max(1)).max(next);
-        let Some(line) = line_at(text, wanted) else { break };
-        next = read_rows(line.next, ROWS_AT_PLACE);
-    }
-    let cell = |cells: &Vec<String>, column: usize| cells.get(column).cloned().unwrap_or_default();
-    let column = |(column, shape): (usize, &Shape)| {
-        let name = cell(&names, column);
-        let mut unit = cell(&units, column);
-        let kind = kind_of(&name, &unit, shape);
-        if kind == ColumnKind::Time && unit.is_empty() {
-            unit = column::unit_of_time(&name);
-        }
-        Column { name, unit, rate_hz: rates_hz[column], kind }
-    };
-    Ok(shapes.iter().enumerate().map(column).collect())
-}
-
-/// What channels are, of which only the names are known.
-pub(crate) fn columns_by_name(names: &[String]) -> Vec<Column> {
-    let column = |name: &String| {
-        let kind = kind_of(name, "", &Shape::default());
-        Column { name: name.clone(), unit: String::new(), rate_hz: None, kind }
-    };
-    names.iter().map(column).collect()
-}
-
-/// The column of labels that says what was done, by its name.
-pub(crate) fn truth(columns: &[Column]) -> Option<usize> {
-    let labels = columns.iter().enumerate().filter(|(_, column)| column.kind == ColumnKind::Label);
-    let ranked = labels.filter_map(|(index, column)| Some((truth_rank(&column.name)?, index)));
-    ranked.min().map(|(_, index)| index)
-}
-
-/// What stands in a column, sample by sample, without quotes.
-pub(crate) fn cells_of_column(text: &[u8], column: usize) -> impl Iterator<Item = &[u8]> {
-    let head = Head::find(text).ok();
-    let mut position = head.as_ref().map_or(text.len(), |head| head.position);
-    let separator = head.map_or(Separator::Blanks, |head| head.separator);
-    std::iter::from_fn(move || {
-        let line = line_at(text, position).filter(|line| !line.content.trim_ascii().is_empty())?;
-        position = line.next;
-        let cell = Cells::of(line.content, separator).nth(column).unwrap_or_default();
-        Some(without_quotes(cell))
-    })
-}
-
-/// The first `count` columns of a table that are muscles, of one rate, by name where that is unique, else by number.
-///
-/// # Errors
-/// When there are too few, or a column with the name of a muscle rises as time does.
-pub fn first_muscles(columns: &[Column], count: usize) -> Result<Vec<Channel>, TableError> {
-    if columns.len() < count {
-        let problem = TableProblem::MissingChannel { channel: columns.len(), columns: columns.len() };
-        return Err(error_at(1, columns.len() + 1, problem));
-    }
-    let muscles = muscles(columns)?;
-    if muscles.len() < count {
-        let listed = columns.iter().enumerate().map(|(index, column)| match &column.name[..] {
-            "" => format!("{index}: {}", column.kind),
-            name => format!("{name}: {}", column.kind),
-        });
-        let columns = listed.collect::<Vec<_>>().join(", ");
-        let problem = TableProblem::TooFewMuscles { wanted: count, found: muscles.len(), columns };
-        return Err(error_at(1, 1, problem));
-    }
-    Ok(muscles.into_iter().take(count).collect())
-}
-
-/// All columns of a table that are muscles, as [`first_muscles`] gives them. Where their rates are stated and differ, the
-/// slower ones are left out.
-///
-/// # Errors
-/// When a column with the name of a muscle rises as time does.
-pub fn muscles(columns: &[Column]) -> Result<Vec<Channel>, TableError> {
-    if let Some(index) = columns.iter().position(|column| column.kind == ColumnKind::RisingMuscle) {
-        return Err(error_at(1, index + 1, TableProblem::RisingMuscle(columns[index].name.clone())));
-    }
-    let is_muscle = |column: &&Column| column.kind == ColumnKind::Muscle;
-    let fastest_hz = columns.iter().filter(is_muscle).filter_map(|column| column.rate_hz).fold(0.0, f64::max);
-    let is_fast = |column: &Column| column.rate_hz.is_none_or(|hz| hz >= fastest_hz * (1.0 - SAME_RATE));
-    let channel = |(index, column): (usize, &Column)| {
-        let is_unique = columns.iter().filter(|other| other.name == column.name).count() == 1;
-        match &column.name[..] {
-            name if is_unique && !name.is_empty() && name.parse::<usize>().is_err() => Channel::from(name),
-            _ => Channel::Index(index),
-        }
-    };
-    let muscles = columns.iter().enumerate().filter(|(_, column)| is_muscle(column) && is_fast(column));
-    Ok(muscles.map(channel).collect())
 }
 
 impl Table {
@@ -270,81 +95,6 @@ impl Table {
             position,
             line: lines,
         })
-    }
-
-    /// Finds the sampling rate in what the head states and in the column of time, and watches that column, or a counter,
-    /// for missing samples from now on. `columns` are what [`columns`] gives for `text`, of which nothing has been read.
-    ///
-    /// # Errors
-    /// When the chosen columns have different rates.
-    pub fn watch_time(&mut self, text: &[u8], columns: &[Column]) -> Result<Timing, TableError> {
-        let chosen = self.chosen_columns();
-        let stated = |column: usize| {
-            let before = column.checked_sub(1).filter(|before| columns[*before].kind == ColumnKind::Time);
-            columns[column].rate_hz.or_else(|| columns[before?].rate_hz)
-        };
-        let stated_hz = self.common_rate(&chosen, stated)?;
-        let measure = |column| Measured::of_time(text, self.position, self.separator, column, self.has_comma);
-        // Each channel may have a column of time of its own, left of it.
-        let time_of = |column: usize| {
-            let is_time = |index: &usize| columns[*index].kind == ColumnKind::Time;
-            (0..column).rev().find(is_time).or_else(|| (0..columns.len()).find(is_time))
-        };
-        let mut timing = Timing { rate_hz: stated_hz, remark: None };
-        let time = chosen.first().and_then(|first| time_of(*first));
-        let measured = time.and_then(|time| Some((time, measure(time)?)));
-        if let Some((time, measured)) = measured {
-            let rate_of = |column| measure(time_of(column)?)?.rate_hz(&columns[time_of(column)?].unit);
-            self.common_rate(&chosen, rate_of)?;
-            let unit = &columns[time].unit;
-            let name = || self.name(time);
-            let rate_hz = measured.rate_hz(unit);
-            timing = match (rate_hz, stated_hz) {
-                // Both know: the stated one is exact.
-                (Some(rate_hz), Some(stated_hz)) if is_same_rate(rate_hz, stated_hz) => timing,
-                (Some(_), Some(_)) if measured.may_count_rows(unit) => timing,
-                (Some(rate_hz), Some(stated_hz)) => {
-                    let (rate, stated_hz) = (Rate(rate_hz), Rate(stated_hz));
-                    let remark = TimingRemark::StatedOtherwise { column: name(), rate_hz: rate, stated_hz };
-                    Timing { rate_hz: Some(rate_hz), remark: Some(remark) }
-                }
-                (Some(rate_hz), None) => {
-                    let is_unsure = measured.may_count_rows(unit);
-                    let remark = is_unsure.then(|| TimingRemark::TakenAsMilliseconds { column: name() });
-                    Timing { rate_hz: Some(rate_hz), remark }
-                }
-                (None, _) => timing,
-            };
-            self.clock = Some(measured.clock);
-        } else {
-            let counter = (0..columns.len()).find(|index| columns[*index].kind == ColumnKind::Counter);
-            self.clock = counter.and_then(|counter| {
-                Measured::of_counter(text, self.position, self.separator, counter, self.has_comma)
-            });
-            timing.remark = time.map(|time| TimingRemark::Bursts { column: self.name(time) });
-        }
-        Ok(timing)
-    }
-
-    /// The rate that the chosen columns have in common, by `rate_of`; `None` if it knows of none.
-    fn common_rate(
-        &self,
-        chosen: &[usize],
-        rate_of: impl Fn(usize) -> Option<f64>,
-    ) -> Result<Option<f64>, TableError> {
-        let mut known = chosen.iter().filter_map(|column| Some((*column, rate_of(*column)?)));
-        let Some((first, first_hz)) = known.next() else { return Ok(None) };
-        match known.find(|(_, rate_hz)| !is_same_rate(*rate_hz, first_hz)) {
-            Some((second, second_hz)) => {
-                let (first, second_name) = (self.name(first), self.name(second));
-                let (first_hz, second_hz) = (Rate(first_hz), Rate(second_hz));
-                let columns =
-                    format!("column `{first}` has {first_hz} Hz and column `{second_name}` {second_hz} Hz");
-                let problem = TableProblem::RatesDiffer { columns };
-                Err(error_at(1, second + 1, problem))
-            }
-            None => Ok(Some(first_hz)),
-        }
     }
 
     /// Goes to the start of another text, which must have the same layout but no head: the next file
@@ -523,11 +273,6 @@ struct Parsed {
     is_missing: bool,
     /// What the column of the clock says; NaN where it says nothing.
     time: f64,
-}
-
-/// Whether two rates are those of the same samples.
-pub(crate) fn is_same_rate(first_hz: f64, second_hz: f64) -> bool {
-    (first_hz - second_hz).abs() <= SAME_RATE * first_hz.max(second_hz)
 }
 
 /// Whether one of the first rows has a number with a decimal point: then a comma is no decimal sign.

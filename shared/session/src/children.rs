@@ -24,7 +24,7 @@ use nix::unistd::{AccessFlags, Pid, access};
 use tendon_config::Config;
 use tendon_messages::Stage;
 use tendon_paths::PathError;
-use tendon_process::{Order, Ready};
+use tendon_process::{Asked, Order, Ready};
 
 use crate::recorder::{Recorder, RecordingPlan};
 use crate::robot_line::RobotLine;
@@ -59,6 +59,8 @@ pub enum Event {
     Record,
     /// The recorder said something, or has ended.
     Recorder,
+    /// Somebody who sees the session asks for something.
+    Request(Asked),
     /// A signal, or the key for it.
     Stop,
 }

@@ -6,7 +6,8 @@
 //!                stage ended: restart ──┘  └── observer, progress, heartbeat
 //! ```
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
@@ -14,7 +15,7 @@ use tendon_config::{Backend, Config, Source};
 use tendon_gesture::Strategy;
 use tendon_messages::{ArmPhase, Stage};
 use tendon_observer::{Observer, State};
-use tendon_process::{Order, Ready, with_causes};
+use tendon_process::{Answer, Asked, Order, Ready, with_causes};
 use tendon_report::SessionEvent;
 use tendon_session_file::{RecordingReport, Said, Told};
 use tendon_transport::{Delivery, Leftovers, SharedFiles};
@@ -104,6 +105,8 @@ pub struct Watch<'a> {
     plan: Option<RecordingPlan>,
     recorder: Option<Recorder>,
     recordings: Vec<RecordingReport>,
+    /// Those that came and were not taken yet.
+    requests: VecDeque<Asked>,
 }
 
 impl<'a> Watch<'a> {
@@ -142,6 +145,7 @@ impl<'a> Watch<'a> {
             plan: None,
             recorder: None,
             recordings: Vec::new(),
+            requests: VecDeque::new(),
         })
     }
 
@@ -175,6 +179,9 @@ impl<'a> Watch<'a> {
                 Ok(Event::Ended(stage)) => return self.ended(stage, true),
                 Ok(Event::Order(stage, order)) => self.children.order(stage, order),
                 Ok(Event::Recorder) => self.hear_recorder()?,
+                Ok(Event::Request(asked)) => {
+                    asked.answer(&Answer::refused("the session is still starting: ask again when it runs"));
+                }
                 Ok(Event::GoOn | Event::Redo | Event::Record) | Err(_) => {}
             }
             self.observer.gather(|_| ())?;
@@ -222,8 +229,9 @@ impl<'a> Watch<'a> {
             Ok(Event::Ended(stage)) if self.robot.is_ending() => return self.ended(stage, false),
             Ok(Event::Ended(stage)) => self.restart(stage)?,
             Ok(Event::Ready(stage, ready)) => self.go_on(stage, ready),
-            Ok(Event::Record) => self.start_or_end_recording(),
+            Ok(Event::Record) => drop(self.record(self.recorder.is_none())),
             Ok(Event::Recorder) => self.hear_recorder()?,
+            Ok(Event::Request(asked)) => self.requests.push_back(asked),
             Ok(Event::GoOn | Event::Redo) => {}
             Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
         }
@@ -467,20 +475,48 @@ impl<'a> Watch<'a> {
         is_wanted && self.recorder.as_ref().is_none_or(|recorder| recorder.path().is_none())
     }
 
-    /// The key for it was pressed.
-    fn start_or_end_recording(&mut self) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.let_finish();
-            return;
+    /// Begins or ends a recording.
+    pub fn record(&mut self, is_wanted: bool) -> Answer {
+        match (&mut self.recorder, is_wanted) {
+            (Some(recorder), _) if recorder.is_finishing() => {
+                Answer::refused("the recording is being finished: ask again in a moment")
+            }
+            (Some(_), true) => Answer::done("it is being recorded already"),
+            (Some(recorder), false) => {
+                recorder.let_finish();
+                Answer::done("the recording ends")
+            }
+            (None, false) => Answer::done("nothing is being recorded"),
+            (None, true) => self.begin_recording(),
         }
-        let Some(plan) = &self.plan else { return };
+    }
+
+    fn begin_recording(&mut self) -> Answer {
+        let Some(plan) = &self.plan else {
+            return Answer::refused("this session cannot be recorded");
+        };
         match self.children.start_recorder(plan) {
             Ok(recorder) => {
                 self.recorder = Some(recorder);
                 self.tell_recorder_of_the_stages();
+                Answer::done("the recording begins")
             }
-            Err(error) => self.note(format!("the recording cannot begin: {}", with_causes(&error))),
+            Err(error) => {
+                let text = format!("the recording cannot begin: {}", with_causes(&error));
+                self.note(text.clone());
+                Answer::refused(text)
+            }
         }
+    }
+
+    /// The file that the session is being recorded to.
+    pub fn recording(&self) -> Option<&Path> {
+        self.recorder.as_ref().filter(|recorder| !recorder.is_finishing()).and_then(Recorder::path)
+    }
+
+    /// The next request that has come, for whoever runs the session to answer.
+    pub fn take_request(&mut self) -> Option<Asked> {
+        self.requests.pop_front()
     }
 
     fn tell_recorder_of_the_stages(&mut self) {

@@ -25,7 +25,7 @@ mod user;
 mod zone;
 
 pub use controls::{Controls, NothingMoves};
-pub use report::{TaskReport, ZoneScore};
+pub use report::{TaskReport, TaskStatus, ZoneScore, ZoneStatus};
 pub use run::{TaskKind, TaskPlan, TaskRun};
 pub use settings::{TaskSettings, TaskSettingsError, UserSettings};
 pub use task::ZoneTask;

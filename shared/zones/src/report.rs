@@ -88,6 +88,36 @@ pub struct TaskReport {
     pub zones: Vec<ZoneScore>,
 }
 
+/// How the task stands while it goes on. The JSON keys are a contract with the page.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct TaskStatus {
+    /// `zones` or `paper-zones`.
+    pub kind: &'static str,
+    /// The zone there is; `None` before the first.
+    pub zone: Option<ZoneStatus>,
+    /// Zones reached so far.
+    pub reached: usize,
+    /// Zones reached and missed so far.
+    pub trials: usize,
+    /// How often zones were left before the dwelling was over, the one there is among them.
+    pub overshoots: u32,
+    /// Mean over the zones reached of index of difficulty over movement time, bits/s.
+    pub throughput_bits_per_s: Option<f64>,
+    /// How much of the dwelling in the zone there is is over, 0 to 1.
+    pub dwell_share: f64,
+}
+
+/// A zone that is to be reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ZoneStatus {
+    /// Its shape.
+    pub shape: ZoneShape,
+    /// Its centre, mm.
+    pub center_mm: [f64; 3],
+    /// Its width, mm.
+    pub width_mm: f64,
+}
+
 impl TaskReport {
     /// Counts and means of `zones` in place of those there are.
     pub(crate) fn summarise(&mut self) {

@@ -10,8 +10,8 @@ use glam::DVec3;
 use tendon_messages::{Permission, Stage, StateHeader};
 
 use crate::{
-    Contraction, Controls, NoRoomForZones, Placement, SimulatedUser, TaskReport, TaskSettings, Workspace,
-    ZoneTask,
+    Contraction, Controls, NoRoomForZones, Placement, SimulatedUser, TaskReport, TaskSettings, TaskStatus,
+    Workspace, ZoneTask,
 };
 
 /// Which task there is to do.
@@ -166,6 +166,12 @@ impl TaskRun {
         }
     }
 
+    /// How the task stands, for whoever shows it while it goes on.
+    pub fn status(&self) -> TaskStatus {
+        let kind = self.plan.kind.name();
+        self.under_way.as_ref().map_or(TaskStatus { kind, ..TaskStatus::default() }, |task| task.status(kind))
+    }
+
     /// The task itself, once it has begun.
     pub fn under_way(&self) -> Option<&ZoneTask> {
         self.under_way.as_ref()
@@ -242,6 +248,7 @@ mod tests {
         run.observe(&state(1.0, Permission::Granted), START_MM).unwrap();
         run.observe(&state(6.0, Permission::AwaitRest), START_MM).unwrap();
         assert!(run.report(0).is_none() && run.live().contains("first zone"), "{}", run.live());
+        assert_eq!(run.status(), TaskStatus { kind: "zones", ..TaskStatus::default() });
         run.observe(&state(6.1, Permission::Granted), START_MM).unwrap();
         assert_eq!(run.under_way().map(ZoneTask::zone_number), Some(1));
     }
@@ -257,6 +264,8 @@ mod tests {
         assert!(run.live().contains("first zone"));
         run.observe(&state(6.0, Permission::Granted), START_MM).unwrap();
         let centre_mm = run.under_way().unwrap().zone().centre_mm;
+        let zone = run.status().zone.unwrap();
+        assert_eq!((zone.center_mm, zone.width_mm), (centre_mm.into(), TaskSettings::default().width_mm));
         assert!(run.live().starts_with("  zone 1: ") && run.live().ends_with(" mm"), "{}", run.live());
         run.observe(&state(6.1, Permission::Granted), <[f64; 3]>::from(centre_mm).map(|mm| mm as f32))
             .unwrap();

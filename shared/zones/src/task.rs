@@ -9,7 +9,9 @@
 use glam::DVec3;
 
 use crate::report::{components, index_of_difficulty_bits};
-use crate::{NoRoomForZones, Placement, TaskReport, TaskSettings, Workspace, Zone, ZoneScore};
+use crate::{
+    NoRoomForZones, Placement, TaskReport, TaskSettings, TaskStatus, Workspace, Zone, ZoneScore, ZoneStatus,
+};
 
 /// The trajectory keeps a position for about every mm of way.
 const TRAJECTORY_STEP_MM: f64 = 1.0;
@@ -140,6 +142,27 @@ impl ZoneTask {
     /// Where the arm has been, about every mm.
     pub fn trajectory_mm(&self) -> &[DVec3] {
         &self.trajectory_mm
+    }
+
+    /// How the task stands. `kind` is as in [`TaskStatus`].
+    pub(crate) fn status(&self, kind: &'static str) -> TaskStatus {
+        let Zone { shape, centre_mm, width_mm } = self.attempt.zone;
+        let dwelt_s = self.attempt.entry.map_or(0.0, |entry| self.now_s - entry.time_s);
+        let dwell_s = self.settings.dwell_s;
+        let throughputs: Vec<f64> =
+            self.scores.iter().filter_map(|score| score.throughput_bits_per_s).collect();
+        let is_known = !throughputs.is_empty();
+        TaskStatus {
+            kind,
+            zone: Some(ZoneStatus { shape, center_mm: components(centre_mm), width_mm }),
+            reached: self.scores.iter().filter(|score| score.reached).count(),
+            trials: self.scores.len(),
+            overshoots: self.scores.iter().map(|score| score.overshoots).sum::<u32>()
+                + self.attempt.overshoots,
+            throughput_bits_per_s: is_known
+                .then(|| throughputs.iter().sum::<f64>() / throughputs.len() as f64),
+            dwell_share: if dwell_s > 0.0 { (dwelt_s / dwell_s).min(1.0) } else { 0.0 },
+        }
     }
 
     /// How the task has gone so far. `name`, `user` and `states_lost` are as in [`TaskReport`].
@@ -273,8 +296,14 @@ mod tests {
             ],
         );
         assert_eq!((task.zone_number(), *task.zone()), (1, first));
+        let status = task.status("zones");
+        assert_eq!((status.reached, status.trials, status.overshoots), (0, 0, 1));
+        assert_eq!((status.throughput_bits_per_s, status.dwell_share), (None, 0.5));
         follow(&mut task, &[(15.0, towards * -15.0)]);
         assert_eq!(task.zone_number(), 2);
+        let status = task.status("zones");
+        assert_eq!((status.reached, status.trials, status.overshoots), (1, 1, 1));
+        assert_eq!(status.dwell_share, 0.0);
         assert!((task.zone().centre_mm.distance(first.centre_mm) - 120.0).abs() < 1e-9);
         let report = task.report("zones", "simulated", 0);
         let score = &report.zones[0];

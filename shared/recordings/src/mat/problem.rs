@@ -8,13 +8,11 @@ pub enum MatError {
     /// What the system says of the file.
     #[error("cannot be read ({0}); check its permissions, or copy it again if it was cut off")]
     Read(io::Error),
-    /// MATLAB 7.3 writes HDF5.
-    #[error(
-        "is of MATLAB 7.3 (HDF5), which is not read: load it in MATLAB and save it again with `save -v7`"
-    )]
-    Hdf5,
+    /// A kind of HDF5 that MATLAB 7.3 does not write.
+    #[error("is not read: {0}; load it in MATLAB and save it again with `save -v7`")]
+    Hdf5(&'static str),
     /// Something else.
-    #[error("is not a MAT-file of level 5: save it with `save -v7`")]
+    #[error("is not a MAT-file: save it with `save -v7` or `save -v7.3`")]
     NoMatFile,
     /// Written on a machine of another byte order.
     #[error("has its bytes in big-endian order: load it in MATLAB and save it again with `save -v7`")]
@@ -64,6 +62,9 @@ pub enum MatError {
         column: usize,
     },
 }
+
+/// Said of values where they are read.
+pub(super) const OTHER_COUNT: &str = "the values are not as many as the dimensions say";
 
 // Not `#[from]`: that would make the system's words a source, too, and they would be said twice.
 impl From<io::Error> for MatError {

@@ -1,0 +1,217 @@
+//! What can be asked of a session while it runs, and how it stands for whoever shows it.
+//!
+//! ```text
+//! page ─▶ RequestSocket ─▶ Event::Request ─▶ Watch ─▶ SessionDesk::turn ─▶ record, gesture, … ─▶ Answer
+//!      ◀───────── Desk, the newest ◀──────────────────────────┘
+//! ```
+
+use std::path::PathBuf;
+use std::sync::mpsc::Sender;
+
+use serde::Serialize;
+use serde_json::json;
+use tendon_config::{Config, Gestures, Source};
+use tendon_gesture::{GestureSet, Strategy};
+use tendon_messages::Stage;
+use tendon_people::{People, PersonName};
+use tendon_process::{Answer, Asked, GestureRequest, Order, Request, RequestError, RequestSocket};
+use tendon_session::{Event, Watch};
+use tendon_zones::{TaskRun, TaskStatus};
+
+use crate::calibrate::CalibrationStatus;
+
+/// The most names of people that are told: more fit into no message.
+const MOST_PEOPLE: usize = 500;
+
+/// How a session or a calibration stands, as the page shows it. The JSON keys are a contract with the page.
+#[derive(Clone, Debug, Serialize)]
+pub struct Desk {
+    /// What can be asked for.
+    pub can: Can,
+    /// Which of the two it is.
+    pub kind: DeskKind,
+    /// The file that it is being recorded to.
+    pub recording: Option<PathBuf>,
+    /// Whose session it is.
+    pub person: Option<String>,
+    /// Name of the strategy.
+    pub strategy: &'static str,
+    /// Who has been calibrated.
+    pub people: Vec<PersonName>,
+    /// Names of the strategies there are.
+    pub strategies: Vec<&'static str>,
+    /// The task of the session, if it has one.
+    pub task: Option<TaskStatus>,
+    /// How the calibration stands, if it is one.
+    pub calibration: Option<CalibrationStatus>,
+}
+
+/// What can be asked for.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Can {
+    /// Recordings.
+    pub record: bool,
+    /// Gestures of the simulated person.
+    pub gestures: bool,
+    /// Another mode.
+    pub mode: bool,
+    /// Another session or a calibration.
+    pub next: bool,
+}
+
+/// What the page shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DeskKind {
+    /// A session of all stages.
+    Session,
+    /// A guided calibration.
+    Calibration,
+}
+
+impl Desk {
+    /// Of what has this configuration; nothing can be asked for.
+    pub fn new(kind: DeskKind, config: &Config) -> Desk {
+        let person = config.inference.person.as_deref().filter(|_| is_personal(config));
+        let mut desk = Desk {
+            can: Can::default(),
+            kind,
+            recording: None,
+            person: person.and_then(person_of),
+            strategy: config.decision.strategy.name(),
+            strategies: Vec::new(),
+            people: Vec::new(),
+            task: None,
+            calibration: None,
+        };
+        desk.look_for_people();
+        desk
+    }
+
+    /// Tells who has been calibrated by now.
+    pub fn look_for_people(&mut self) {
+        self.people = People::open().and_then(|people| people.names()).unwrap_or_default();
+        self.people.truncate(MOST_PEOPLE);
+        let personal = (!self.people.is_empty()).then_some(Strategy::Personal);
+        self.strategies = Strategy::ALL.into_iter().chain(personal).map(Strategy::name).collect();
+    }
+
+    /// As the page reads it.
+    pub fn text(&self) -> String {
+        json!({ "desk": self }).to_string()
+    }
+}
+
+fn is_personal(config: &Config) -> bool {
+    config.decision.strategy == Strategy::Personal
+}
+
+/// The name of the person in a file of `People`, which is called people/NAME/person.toml; of another file its own name.
+fn person_of(file: &std::path::Path) -> Option<String> {
+    let folder = file.parent().and_then(std::path::Path::file_name);
+    let name = if file.file_name()? == "person.toml" { folder? } else { file.file_stem()? };
+    Some(name.to_string_lossy().into_owned())
+}
+
+/// The desk of a running session.
+#[derive(Debug)]
+pub struct SessionDesk {
+    desk: Desk,
+    gestures: GestureSet,
+    socket: RequestSocket,
+}
+
+impl SessionDesk {
+    /// Listens to requests, which come as `events`.
+    ///
+    /// # Errors
+    ///
+    /// [`RequestError`] when the socket cannot be had.
+    pub fn open(
+        config: &Config,
+        has_simulated_user: bool,
+        events: &Sender<Event>,
+    ) -> Result<SessionDesk, RequestError> {
+        let acquisition = &config.acquisition;
+        let follows_keys = acquisition.source == Source::Simulate
+            && acquisition.simulate.gestures == Gestures::Keyboard
+            && !has_simulated_user;
+        let mut desk = Desk::new(DeskKind::Session, config);
+        let starting = desk.text();
+        desk.can = Can { record: true, gestures: follows_keys, mode: false, next: false };
+        let events = events.clone();
+        let on_request = move |asked: Asked| {
+            // Once nobody listens any more the request is dropped, which says so.
+            let _ = events.send(Event::Request(asked));
+        };
+        let socket = RequestSocket::listen(&config.session, starting, on_request)?;
+        Ok(SessionDesk { desk, gestures: config.decision.gestures.clone(), socket })
+    }
+
+    /// Answers what has been asked, and shows how the session stands now.
+    pub fn turn(&mut self, watch: &mut Watch<'_>, task: Option<&TaskRun>) {
+        while let Some(asked) = watch.take_request() {
+            let answer = self.answer(&asked.request, watch);
+            asked.answer(&answer);
+        }
+        self.desk.recording = watch.recording().map(PathBuf::from);
+        self.desk.task = task.map(TaskRun::status);
+        self.socket.show(self.desk.text());
+    }
+
+    fn answer(&self, request: &Request, watch: &mut Watch<'_>) -> Answer {
+        match request {
+            Request::Record(is_wanted) => watch.record(*is_wanted),
+            Request::Gesture(gesture) => self.make(*gesture, watch),
+            Request::Mode(_) => Answer::refused("this session takes its modes from gestures only"),
+            Request::Next(_) => Answer::refused("this session cannot go over to another: end it with q"),
+            Request::Calibration(_) => Answer::refused("this is a session, and no calibration"),
+            Request::Status => unreachable!("the socket answers it itself"),
+        }
+    }
+
+    /// Lets the simulated person make a gesture.
+    fn make(&self, request: GestureRequest, watch: &mut Watch<'_>) -> Answer {
+        let GestureRequest { gesture, effort } = request;
+        if !self.desk.can.gestures {
+            return Answer::refused(
+                "nobody makes gestures by request in this session: start one with --keyboard",
+            );
+        }
+        if self.gestures.number(gesture).is_none() {
+            let known: Vec<String> = self.gestures.iter().map(|known| known.to_string()).collect();
+            return Answer::refused(format!(
+                "{gesture} is no gesture of this session: it has {}",
+                known.join(", ")
+            ));
+        }
+        if !(0.0..=1.0).contains(&effort) {
+            return Answer::refused(format!("an effort of {effort}: give one from 0 to 1"));
+        }
+        watch.order(Stage::Acquisition, Order::Gesture { gesture, effort });
+        Answer::done(gesture.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::Value;
+
+    use super::*;
+
+    #[test]
+    fn a_desk_names_the_person_of_a_session_and_nothing_can_be_asked_before_it_runs() {
+        let mut config = Config::default();
+        config.inference.person = Some("/home/me/people/anna/person.toml".into());
+        let desk = |config: &Config| -> Value {
+            serde_json::from_str(&Desk::new(DeskKind::Session, config).text()).unwrap()
+        };
+        assert_eq!(desk(&config)["desk"]["person"], Value::Null, "the strategy is not theirs");
+        config.decision.strategy = Strategy::Personal;
+        let said = &desk(&config)["desk"];
+        assert_eq!((&said["person"], &said["strategy"]), (&json!("anna"), &json!("personal")));
+        assert_eq!((&said["kind"], &said["can"]["record"]), (&json!("session"), &json!(false)));
+        config.inference.person = Some("/data/bert.toml".into());
+        assert_eq!(desk(&config)["desk"]["person"], "bert");
+    }
+}
