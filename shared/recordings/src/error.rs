@@ -23,7 +23,7 @@ pub enum RecordingError {
     },
     /// A path without a known layout.
     #[error(
-        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file .edf, .bdf or .xdf, a file \
+        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file .edf, .bdf, .xdf or .xdfz, a file \
          3dc_EMG_gesture_R_G.txt, or the EMG folder that holds such files",
         .path.display()
     )]
@@ -46,6 +46,23 @@ pub enum RecordingError {
     RepetitionOfFile {
         /// The file.
         file: PathBuf,
+    },
+    /// A column of labels was given for what has cues of its own.
+    #[error("{} has cues of its own: leave out label_column, which is for tables", .path.display())]
+    OwnCues {
+        /// The recording.
+        path: PathBuf,
+    },
+    /// A column of labels that names no gesture.
+    #[error(
+        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole numbers, of          which 0 is rest",
+        .file.display()
+    )]
+    NoLabels {
+        /// The file.
+        file: PathBuf,
+        /// The column.
+        column: String,
     },
     /// A plain table whose sampling rate was not given.
     #[error("{} does not state its sampling rate: give sample_rate_hz, e.g. 2000", .file.display())]

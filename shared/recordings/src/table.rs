@@ -28,7 +28,7 @@ mod timing;
 
 pub use channel::Channel;
 pub(crate) use channel::places;
-pub(crate) use choice::{cells_of_column, columns_by_name, truth};
+pub(crate) use choice::{cells_of_column, columns_by_name, find, truth};
 pub use choice::{columns, first_muscles, muscles};
 pub use column::{Column, ColumnKind};
 pub use problem::{Rate, TableError, TableProblem};

@@ -27,7 +27,8 @@ fn noise_at_1925_926_hz_comes_out_as_by_scipy_with_a_long_low_pass() {
     golden.input.iter().for_each(|sample| writeln!(text, "{sample}").unwrap());
     std::fs::write(&path, text).unwrap();
     let channels = vec![Channel::Index(0)];
-    let settings = RecordingSettings { channels, sample_rate_hz: Some(golden.rate_hz), repetition: None };
+    let settings =
+        RecordingSettings { channels, sample_rate_hz: Some(golden.rate_hz), ..RecordingSettings::default() };
     let mut stream = ReplayStream::open(&path, &settings, 2000.0, 10).unwrap();
     let mut output = Vec::new();
     let mut block = [0.0; 10];
