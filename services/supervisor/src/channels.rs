@@ -3,7 +3,8 @@
 //! ```text
 //! recorded by Tendon         all of them
 //! your own recordings        the first four that look like EMG (see `tendon_recordings::muscles`), or all, if they are fewer
-//! 3DC, Ozdemir               0, 3, 5, 8
+//! 3DC                        0, 3, 5, 8
+//! Ozdemir                    0, 1, 2, 3: all that there are
 //! ```
 
 use std::path::PathBuf;
@@ -30,8 +31,10 @@ pub fn channels_or_default(
         return named_by_recordings(given, settings, paths);
     }
     let found = list(settings, paths)?;
-    if found.layout != Layout::Labelled {
-        return Ok(of_three_dc());
+    match found.layout {
+        Layout::ThreeDc => return Ok(of_three_dc()),
+        Layout::OzdemirMat | Layout::OzdemirTrials => return Ok((0..4).map(Channel::Index).collect()),
+        Layout::Labelled => {}
     }
     // What cannot be read is said when it is used.
     let readable = |recording: &Recording| recording.file_channels(settings).is_ok();
@@ -118,6 +121,9 @@ mod tests {
         }
         table(folder.path(), "flexor,time");
         assert_eq!(channels(folder.path(), &[]).unwrap(), [Channel::from("flexor")]);
+        let ozdemir = tempfile::tempdir().unwrap();
+        std::fs::write(ozdemir.path().join("P1_C0_G0.csv"), "1,2,3,4\n".repeat(100)).unwrap();
+        assert_eq!(channels(ozdemir.path(), &[]).unwrap(), [0, 1, 2, 3].map(Channel::Index));
         table(folder.path(), "time,label,battery");
         let refused = channels(folder.path(), &[]).unwrap_err();
         assert!(

@@ -120,6 +120,7 @@ impl Session {
             mode: 0,
             frame: 1,
             is_unsure: 0,
+            ordered_mode: 0,
             gripper_toggles: 3,
             twist: [0.0, -1.5, 0.0, 0.0, 0.25, 0.0].map(Number).to_vec(),
         }));

@@ -8,7 +8,7 @@ use tendon_signal::DesignError;
 use crate::mat::MatError;
 use crate::recorder::RecorderError;
 use crate::signals::SignalsError;
-use crate::table::{TableError, TableProblem};
+use crate::table::{Rate, TableError, TableProblem};
 
 /// A recording that cannot be read. Each message says where and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -55,7 +55,8 @@ pub enum RecordingError {
     },
     /// A column of labels that names no gesture.
     #[error(
-        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole numbers, of          which 0 is rest",
+        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole \
+         numbers, of which 0 is rest",
         .file.display()
     )]
     NoLabels {
@@ -69,6 +70,18 @@ pub enum RecordingError {
     SampleRateMissing {
         /// The file.
         file: PathBuf,
+    },
+    /// A plain table whose first lines state rates of which none can be taken.
+    #[error(
+        "{} states {}, which does not tell its sampling rate: give sample_rate_hz, e.g. 2000",
+        .file.display(),
+        .stated.iter().map(|rate| format!("{rate} Hz")).collect::<Vec<_>>().join(" and ")
+    )]
+    SampleRateUnclear {
+        /// The file.
+        file: PathBuf,
+        /// What it states.
+        stated: Vec<Rate>,
     },
     /// A sampling rate other than the one the layout has.
     #[error(

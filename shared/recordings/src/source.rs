@@ -250,7 +250,13 @@ impl RecordingSource {
                 }
             }
             let timing = table.watch_time(text.bytes(), &columns).map_err(RecordingError::table(file))?;
-            own_hz = timing.rate_hz;
+            own_hz = timing.rate_hz.filter(|_| !given_hz.is_some_and(|given| timing.allows(given)));
+            if timing.rate_hz.is_none() && given_hz.is_none() && !timing.unclear_hz.is_empty() {
+                return Err(RecordingError::SampleRateUnclear {
+                    file: file.clone(),
+                    stated: timing.unclear_hz,
+                });
+            }
             let is_guess = matches!(timing.remark, Some(TimingRemark::TakenAsMilliseconds { .. }));
             if is_guess && given_hz.is_some() {
                 own_hz = None;
@@ -258,8 +264,7 @@ impl RecordingSource {
                 notices.push(Notice::Time { file: file.clone(), remark });
             }
         }
-        let is_given = |hz: f64| given_hz.is_some_and(|given| table::is_same_rate(given, hz));
-        let sample_rate_hz = sample_rate(file, own_hz.filter(|hz| !is_given(*hz)), given_hz)?;
+        let sample_rate_hz = sample_rate(file, own_hz, given_hz)?;
         let samples = Samples::Table { table, text, unit };
         Ok(RecordingSource::of(samples, channels.len(), segments, notices, sample_rate_hz))
     }

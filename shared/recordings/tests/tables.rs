@@ -213,6 +213,66 @@ fn heads_as_people_write_them_are_read() {
 }
 
 #[test]
+fn heads_of_opensignals_acqknowledge_labchart_and_noraxon_are_read() {
+    let open_signals = "# OpenSignals Text File Format. Version 1\n# {\"20:17\": {\"sensor\": [\"EMG\", \"EMG\", \"EMG\", \"EMG\"], \
+        \"column\": [\"nSeq\", \"I1\", \"I2\", \"O1\", \"O2\", \"A1\", \"A2\", \"A3\", \"A4\"], \"sync interval\": 2, \
+        \"sampling rate\": 1000, \"resolution\": [4, 1, 1, 1, 1, 10, 10, 10, 10]}}\n# EndOfHeader\n"
+        .to_owned()
+        + &rows(500, |row| format!("{}\t1\t1\t0\t0\t{}\t", row % 16, samples(row, 4, "\t")));
+    assert_eq!(assert_read(&open_signals, ["A1", "A2", "A3", "A4"], 1000.0, 500, ""), []);
+
+    // Below the names: how many samples each channel has.
+    let biopac = "emg.acq\n0.5 msec/sample\n4 channels\nmsec,CH1,CH2,CH3,CH4\n,500,500,500,500\n".to_owned()
+        + &rows(500, |row| format!("{},{},", row as f64 / 2.0, samples(row, 4, ",")));
+    assert_eq!(assert_read(&biopac, ["CH1", "CH2", "CH3", "CH4"], 2000.0, 500, ""), []);
+
+    let lab_chart = "Interval=\t0.0005 s\nTimeFormat=\tStartOfBlock\nChannelTitle=\tEMG1\tEMG2\tEMG3\tEMG4\n\
+        Range=\t10.000 mV\t10.000 mV\t10.000 mV\t10.000 mV\n"
+        .to_owned()
+        + &rows(500, |row| format!("{:.4}\t{}", row as f64 / 2000.0, samples(row, 4, "\t")));
+    assert_eq!(assert_read(&lab_chart, ["EMG1", "EMG2", "EMG3", "EMG4"], 2000.0, 500, "mV"), []);
+
+    let muscles = ["LT BICEPS BR.,uV", "RT BICEPS BR.,uV", "LT TRICEPS,uV", "RT TRICEPS,uV"];
+    let noraxon = format!("\"time,s\",Activity,\"{}\"\n", muscles.join("\",\""))
+        + &rows(500, |row| format!("{:.4},,{}", row as f64 / 2000.0, samples(row, 4, ",")));
+    assert_eq!(assert_read(&noraxon, muscles, 2000.0, 500, "uV"), []);
+
+    // pandas numbers columns without names.
+    let pandas =
+        "time,0,1,2,3\n".replace("time", "") + &rows(500, |row| format!("{row},{}", samples(row, 4, ",")));
+    let (_folder, path) = file("emg.csv", &pandas);
+    assert_eq!(first_muscles(&path, 4, None).unwrap(), [1, 2, 3, 4].map(Channel::Index));
+    let settings = RecordingSettings {
+        channels: vec![Channel::Index(1)],
+        sample_rate_hz: Some(1000.0),
+        ..RecordingSettings::default()
+    };
+    assert_eq!(check(&path, &settings).unwrap().samples, 500);
+}
+
+#[test]
+fn times_of_day_are_a_clock_and_one_that_cannot_be_read_hides_none() {
+    let time = |row: usize| row as f64 / 2000.0;
+    let header = format!("time,{}\n", ABCD.join(","));
+    let day = header.clone()
+        + &rows(500, |row| format!("2024-03-01T10:00:{:09.6},{}", time(row), samples(row, 4, ",")));
+    assert_eq!(assert_read(&day, ABCD, 2000.0, 500, ""), []);
+    let clock = header + &rows(500, |row| format!("00:00:{:09.6},{}", time(row), samples(row, 4, ",")));
+    assert_eq!(assert_read(&clock, ABCD, 2000.0, 500, ""), []);
+    let both = format!("timestamp,datetime,{}\n", ABCD.join(","))
+        + &rows(500, |row| format!("{:.4},1 March,{}", time(row), samples(row, 4, ",")));
+    assert_eq!(assert_read(&both, ABCD, 2000.0, 500, ""), []);
+}
+
+#[test]
+fn rates_that_cannot_be_taken_are_named_where_nothing_else_tells() {
+    let text =
+        "Sampling rate: 2 Hz\nEMG_a,EMG_b,EMG_c,EMG_d\n".to_owned() + &rows(100, |row| samples(row, 4, ","));
+    let refused = read_unasked(&text).unwrap_err().to_string();
+    assert!(refused.contains("states 2 Hz") && refused.contains("give sample_rate_hz"), "{refused}");
+}
+
+#[test]
 fn a_gap_in_time_and_missing_cells_are_gaps_that_no_block_spans() {
     let row = |row: usize| {
         let samples = samples(row, 4, ",");
@@ -343,8 +403,7 @@ fn a_channel_that_never_changes_is_named_at_any_value() {
             let settings =
                 RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
             let notices = check(&path, &settings).unwrap().notices;
-            let [notice] = &notices[..] else { panic!("{notices:?}") };
-            notice.to_string()
+            notices.last().unwrap().to_string()
         };
         let (one, two) = (notice_of(0..4), notice_of(0..5));
         assert!(

@@ -4,6 +4,7 @@
 //! recorded blocks ──▶ epochs of the source: it began anew where its sample numbers did not go on rising
 //! measurements ─────▶ dsp began anew with this block: its first, by sequence number
 //! predictions, commands: sequence numbers that start again ─▶ inference, decision began anew with this window
+//! commands ─────────▶ decision was ordered to take a mode with this window
 //! no window, prediction or command of it ─▶ dsp, inference or decision left it out: too old, lost, or not running
 //! ```
 //!
@@ -19,7 +20,7 @@ use std::path::Path;
 use tendon_messages::{ReplayMark, Stage};
 
 use crate::reader::{Reader, SessionFileError};
-use crate::records::{MeasurementRecord, Message, TraceRecord};
+use crate::records::{CommandRecord, MeasurementRecord, Message, TraceRecord};
 
 /// Which window: how often the source had begun anew, and the window's first sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -80,6 +81,7 @@ pub struct ReplayMarks {
     /// Epoch and first sample of each block with which dsp began anew.
     restarts_of_dsp: HashSet<(u32, u64)>,
     windows: HashMap<KeyOfWindow, u8>,
+    ordered_modes: HashMap<KeyOfWindow, u8>,
     /// First sample of the replay; 0 for a recording of a whole session.
     begin_sample: u64,
 }
@@ -113,7 +115,16 @@ impl ReplayMarks {
 
     /// The [`ReplayMark`]s of a window of the newest block, for its context; `None` if dsp left it out.
     pub fn window(&self, first_sample: u64) -> Option<u8> {
-        self.windows.get(&KeyOfWindow { epoch: self.epochs.epoch, first_sample }).copied()
+        self.windows.get(&self.key(first_sample)).copied()
+    }
+
+    /// The mode that decision was ordered to take with a window of the newest block, for its context; 0 if none was.
+    pub fn ordered_mode(&self, first_sample: u64) -> u8 {
+        self.ordered_modes.get(&self.key(first_sample)).copied().unwrap_or_default()
+    }
+
+    fn key(&self, first_sample: u64) -> KeyOfWindow {
+        KeyOfWindow { epoch: self.epochs.epoch, first_sample }
     }
 }
 
@@ -144,6 +155,8 @@ struct Gathered {
     windows: Vec<(TraceRecord, u64)>,
     predictions: Vec<(TraceRecord, u64)>,
     commands: Vec<(TraceRecord, u64)>,
+    /// First sample and mode of each command with which a mode was taken that had been ordered.
+    ordered_modes: Vec<(TraceRecord, u64, u8)>,
 }
 
 impl Gathered {
@@ -162,7 +175,13 @@ impl Gathered {
             Message::Prediction(prediction) => {
                 self.predictions.push((prediction.trace, prediction.context.first_sample));
             }
-            Message::Command(command) => self.commands.push((command.trace, command.context.first_sample)),
+            Message::Command(command) => {
+                let CommandRecord { trace, context, ordered_mode, .. } = command;
+                if ordered_mode != 0 {
+                    self.ordered_modes.push((trace, context.first_sample, ordered_mode));
+                }
+                self.commands.push((trace, context.first_sample));
+            }
             Message::Measurement(batch) if batch.stage == Stage::Dsp.name() && batch.received > 0 => {
                 if self.dsp.iter().all(|seen| seen.process_id != batch.process_id) {
                     self.dsp.push(batch);
@@ -198,8 +217,13 @@ impl Gathered {
             }
         }
         let restarts_of_dsp = self.dsp.iter().skip(1).filter_map(|batch| self.first_block(batch)).collect();
+        let ordered = self.ordered_modes.iter();
+        let ordered_modes = ordered
+            .map(|(trace, first_sample, mode)| (self.epochs.key(trace, *first_sample), *mode))
+            .collect();
         let begin_sample = self.begin_sample(windows.keys()).unwrap_or_default();
-        ReplayMarks { epochs: EpochCounter::default(), restarts_of_dsp, windows, begin_sample }
+        let epochs = EpochCounter::default();
+        ReplayMarks { epochs, restarts_of_dsp, windows, ordered_modes, begin_sample }
     }
 
     /// First sample of the first block that one of `windows` begins with, in a recording that lacks the beginning of its session.
