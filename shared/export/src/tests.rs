@@ -474,7 +474,9 @@ fn a_data_set_has_each_session_with_its_gaps() {
     let recording = bids_file(&data_set, 0, "_emg.bdf");
     for other in [None, Some(b"\xFFBIOSEMI anna".as_slice())] {
         std::fs::remove_file(&recording).unwrap();
-        other.map(|bytes| std::fs::write(&recording, bytes).unwrap());
+        if let Some(bytes) = other {
+            std::fs::write(&recording, bytes).unwrap();
+        }
         for (replace, is_told_apart) in [(false, false), (true, true)] {
             let refused = write_bids(&survey(&path), &facts, &data_set, replace, |_| ()).unwrap_err();
             assert_eq!(matches!(refused, ExportError::NoExport { .. }), is_told_apart, "{refused}");
