@@ -9,7 +9,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::ensure;
+use anyhow::{bail, ensure};
 use tendon_dataset::{DatasetSettings, Layout, Recording, list};
 use tendon_recordings::{Channel, RecordedSession, muscles};
 
@@ -36,10 +36,12 @@ pub fn channels_or_default(
         Layout::OzdemirMat | Layout::OzdemirTrials => return Ok((0..4).map(Channel::Index).collect()),
         Layout::Labelled => {}
     }
-    // What cannot be read is said when it is used.
+    // What cannot be read is said when it is used, unless that is true of all.
     let readable = |recording: &Recording| recording.file_channels(settings).is_ok();
     let Some(recording) = found.recordings.iter().find(|recording| readable(recording)) else {
-        return Ok(of_three_dc());
+        let first = &found.recordings[0];
+        let problem = first.file_channels(settings).err().map(|error| error.below(&first.path));
+        bail!("{}: {}", first.path.display(), problem.unwrap_or_default());
     };
     let mut channels = muscles(&recording.path, settings.label_column.as_ref())?;
     if RecordedSession::beside(&recording.path)?.is_none() {
