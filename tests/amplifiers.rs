@@ -135,6 +135,7 @@ fn a_trigno_server_is_set_up_checked_and_found_again() {
     tendon.wait_until_running();
     wait_for_error(&tendon, "closed");
     tendon.wait_for_output("slot 1, slot 2, slot 5, slot 7 in uV");
+    tendon.wait_for_blocks();
     emulator.say("stuck 1");
     wait_for_error(&tendon, "slot 1: its value has not changed for 50 ms");
     wait_for_error(&tendon, "slot 1: the sensor is back");
