@@ -9,15 +9,16 @@
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
+use anyhow::bail;
 use tendon_config::Config;
 use tendon_process::{Answer, Next, Request};
 use tendon_session::{Event, Writer};
 
 use super::Options;
 use super::next::command_line;
-use crate::Failure;
-use crate::next::{Following, Handover, session_after};
+use crate::next::{Following, Handover, read, session_after};
 use crate::page::Page;
+use crate::{Command, Failure};
 
 /// What is said while the page shows what came of the calibration.
 const HELD: &str = "the page goes on from here; Ctrl-C ends it";
@@ -83,7 +84,14 @@ impl CalibrationPage {
     /// The command line of what is to follow.
     fn after(&self, options: &Options, config: &Config, next: &Next) -> anyhow::Result<Vec<String>> {
         match next {
-            Next::Session(next) => session_after(&self.run, config.decision.strategy, next),
+            Next::Session(next) => {
+                let Command::Run(run) = read(&self.run)? else { bail!("a session is what follows") };
+                // Of one whose person is gone, the configuration's: another person is asked for.
+                let strategy = run
+                    .configuration()
+                    .map_or(config.decision.strategy, |(config, _)| config.decision.strategy);
+                session_after(&self.run, strategy, next)
+            }
             Next::Calibrate(wanted) => {
                 command_line(wanted, (&options.base, config), &options.page, &options.guided.times())
             }
