@@ -3,7 +3,7 @@
 //! ```text
 //! GET /ws ─▶ Access ─▶ seat free? ─▶ upgrade ─┬─ writing: hello, then every update, answers; 5 s for each at most
 //!                         503                 └─ reading: ping, orders, requests; whatever is too long, too often or no message
-//!                                                of the page ends the connection
+//!                                                of the page, and silence of a minute, end the connection
 //! ```
 
 use std::net::SocketAddr;
@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::Router;
+use axum::body::Bytes;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{ConnectInfo, RawQuery, Request, State};
@@ -43,6 +44,10 @@ const LONGEST_MESSAGE: usize = 4096;
 const MOST_MESSAGES: u32 = 50;
 /// How long a viewer may take for one message before it is left.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// Time between two pings to a viewer, which its browser answers by itself, also while the page sleeps.
+const PING: Duration = Duration::from_secs(5);
+/// How long a viewer may be silent before it is left: its machine may be gone.
+const SILENCE: Duration = Duration::from_secs(60);
 /// Answers and pongs that wait for a slow viewer.
 const WAITING: usize = 64;
 
@@ -181,9 +186,11 @@ async fn tell(
     let mut desk = page.audience.desk.subscribe();
     desk.mark_changed();
     let mut updates = page.audience.updates.subscribe();
+    let mut pings = tokio::time::interval(PING);
     loop {
         let message = tokio::select! {
             biased;
+            _ = pings.tick() => Message::Ping(Bytes::new()),
             Some(reply) = answered.recv() => Message::Text(reply.text().into()),
             Ok(()) = hello.changed() => {
                 let Some(mut facts) = hello.borrow_and_update().clone() else { continue };
@@ -241,6 +248,7 @@ fn refusal(id: u64, order: &'static str) -> Answer {
 async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, replies: Sender<Reply>) {
     let (answers, mut answered) = channel(WAITING);
     let mut pace = Pace::new(Instant::now());
+    let mut heard = Instant::now();
     loop {
         let message = tokio::select! {
             biased;
@@ -250,9 +258,10 @@ async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, re
                 }
                 continue;
             }
-            message = input.next() => message,
+            message = tokio::time::timeout_at((heard + SILENCE).into(), input.next()) => message,
         };
-        let Some(Ok(message)) = message else { return };
+        let Ok(Some(Ok(message))) = message else { return };
+        heard = Instant::now();
         if !pace.allows(Instant::now()) {
             return;
         }
