@@ -11,6 +11,9 @@ use tendon_session_file::{Block, Cue, Event, EventKind, StateRecord};
 
 use crate::{Placed, Survey, Timeline};
 
+/// What is said of a cue after which nothing is asked for. No gesture has such a name, as it has a space.
+const IS_OVER: &str = "is over";
+
 /// Something that happened.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Happening {
@@ -18,7 +21,7 @@ pub(crate) struct Happening {
     pub(crate) at_s: f64,
     /// `session`, `note`, `recording`, `cue` or `arm`.
     pub(crate) kind: &'static str,
-    /// What was said; of a cue, the gesture.
+    /// What was said; of a cue, the gesture, or [`IS_OVER`].
     pub(crate) text: String,
 }
 
@@ -81,6 +84,8 @@ impl Chronicle {
                 let ((start_s, start_row), text) = (start, gesture.clone());
                 cue = Some(Happening { at_s: start_s, kind: "cue", text });
                 self.trial = Some(Trial { start_s, end_s: start_s, gesture, start_row, end_row: start_row });
+            } else if let Some(Trial { end_s, .. }) = ended {
+                cue = Some(Happening { at_s: end_s, kind: "cue", text: IS_OVER.to_owned() });
             }
         }
         Taken { placed, cue, ended }

@@ -10,7 +10,9 @@
 //!
 //! Time stamps are CLOCK_MONOTONIC in s: that of the first sample, and from there on the axis of [`crate::Timeline`].
 
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::Path;
 
 use tendon_messages::{COMMAND_CHANNELS, TWIST_LENGTH};
 use tendon_session_file::{Block, CommandRecord, Message, Number, PredictionRecord, Reader};
@@ -19,12 +21,20 @@ use crate::chronicle::{Chronicle, Happening};
 use crate::xdf::{StreamId, Values, XdfChannel, XdfStream, XdfWriter};
 use crate::{ExportError, Survey};
 
-/// Writes the session of `survey` as XDF. `has_read` is told how many bytes of the recording were read so far.
+/// Bytes in which the headers of the file and of its first stream begin.
+const HEAD: u64 = 4096;
+
+/// Writes the session of `survey` as XDF. `has_read` is told how many bytes of the recording were read so far, and may
+/// end the export.
 ///
 /// # Errors
 ///
 /// The system's, while it is written. That the recording cannot be read is one of them.
-pub fn write_xdf(survey: &Survey, output: &mut dyn Write, mut has_read: impl FnMut(u64)) -> io::Result<()> {
+pub fn write_xdf(
+    survey: &Survey,
+    output: &mut dyn Write,
+    mut has_read: impl FnMut(u64) -> Result<(), ExportError>,
+) -> io::Result<()> {
     let unreadable = |error| io::Error::other(ExportError::from(error));
     let mut streams = Streams::begin(survey, output)?;
     let mut reader = Reader::open(&survey.path).map_err(unreadable)?;
@@ -44,9 +54,17 @@ pub fn write_xdf(survey: &Survey, output: &mut dyn Write, mut has_read: impl FnM
             Message::Cue(cue) => streams.chronicle.cue(cue),
             Message::Window(_) | Message::Measurement(_) => {}
         }
-        has_read(reader.bytes_read());
+        has_read(reader.bytes_read()).map_err(io::Error::other)?;
     }
     streams.file.finish()
+}
+
+/// Whether the file is one that [`write_xdf`] wrote. `false` also for what cannot be read.
+pub fn is_exported_xdf(path: &Path) -> bool {
+    let mut bytes = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut bytes));
+    let text = String::from_utf8_lossy(&bytes);
+    read.is_ok() && text.starts_with("XDF:") && text.contains("<person>") && text.contains("<name>Tendon ")
 }
 
 struct Streams<'a> {

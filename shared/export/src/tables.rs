@@ -20,7 +20,8 @@ use std::path::Path;
 
 use tendon_session_file::{Message, Reader};
 
-use crate::{ExportError, Staging, Survey};
+use crate::staging::Staging;
+use crate::{ExportError, Survey};
 
 use columns::Columns;
 use rows::Rows;
@@ -41,23 +42,46 @@ pub const TABLES: [&str; 11] = [
 ];
 
 /// The table that there is only after a task.
-pub const ZONES: &str = "zones.csv";
+const ZONES: &str = "zones.csv";
 const SESSION: &str = "session.json";
 const COLUMNS: &str = "columns.json";
 const CONFIGURATION: &str = "tendon.toml";
 
-/// Writes the session of `survey` as tables to `folder`, in place of those of the same names. `has_read` is told how many
-/// bytes of the recording were read so far.
+/// Refuses a folder with anything in it, or, with `replace`, with anything but an earlier export.
 ///
 /// # Errors
 ///
-/// [`ExportError`]. Nothing is left of an export that failed.
+/// [`ExportError::NotEmpty`], [`ExportError::Foreign`], and [`ExportError::Write`] where it cannot be looked at.
+pub fn check_tables(folder: &Path, replace: bool) -> Result<(), ExportError> {
+    if !Staging::is_occupied(folder)? {
+        return Ok(());
+    }
+    let path = folder.to_owned();
+    if !replace {
+        return Err(ExportError::NotEmpty { path });
+    }
+    // Such as a folder with the settings of somebody, which have the name of those of an export.
+    let is_export = TABLES.iter().filter(|table| **table != ZONES).all(|table| folder.join(table).is_file());
+    if is_export { Ok(()) } else { Err(ExportError::Foreign { path }) }
+}
+
+/// Writes the session of `survey` as tables to `folder`; with `replace` in place of an earlier export. `has_read` is told how
+/// many bytes of the recording were read so far, and may end the export.
+///
+/// # Errors
+///
+/// [`ExportError`], and as [`check_tables`]. Nothing is left of an export that failed.
 pub fn write_tables(
     survey: &Survey,
     folder: &Path,
-    mut has_read: impl FnMut(u64),
+    replace: bool,
+    mut has_read: impl FnMut(u64) -> Result<(), ExportError>,
 ) -> Result<(), ExportError> {
     let mut staging = Staging::begin(folder)?;
+    // Another export may have been put there since it was looked at.
+    check_tables(folder, replace)?;
+    // First, so that the files of an export that is killed say whose they are.
+    staging.write(SESSION, &facts::session(survey))?;
     let columns = Columns::of(survey);
     let mut rows = Rows::begin(survey, &columns, &mut staging)?;
     let mut reader = Reader::open(&survey.path)?;
@@ -76,15 +100,24 @@ pub fn write_tables(
             Message::Window(_) | Message::Measurement(_) => Ok(()),
         }
         .map_err(&failed)?;
-        has_read(reader.bytes_read());
+        has_read(reader.bytes_read())?;
     }
     rows.finish().map_err(&failed)?;
     if let Some(task) = &survey.task {
         let zones = staging.create(ZONES)?;
         rows::zones(task, &columns, zones).map_err(&failed)?;
     }
-    staging.write(SESSION, &facts::session(survey))?;
     staging.write(COLUMNS, &columns.to_json())?;
     staging.write(CONFIGURATION, survey.configuration.as_bytes())?;
-    staging.keep()
+    staging.keep()?;
+    remove_old_zones(folder, survey)
+}
+
+/// The zones of an earlier export are none of a session without a task.
+fn remove_old_zones(folder: &Path, survey: &Survey) -> Result<(), ExportError> {
+    let zones = folder.join(ZONES);
+    if survey.task.is_none() && zones.is_file() {
+        std::fs::remove_file(&zones).map_err(ExportError::writing(&zones))?;
+    }
+    Ok(())
 }
