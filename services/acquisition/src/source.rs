@@ -56,7 +56,8 @@ pub fn open(config: &Config) -> anyhow::Result<Opened> {
             (Box::new(session), description)
         }
         SourceKind::Replay => {
-            let (recording, description) = Recording::open(config)?;
+            let (recording, description, measured) = Recording::open(config)?;
+            signal = Some(measured);
             (Box::new(Paced::new(recording, pace, samples)), description)
         }
         amplifier => bail!(
@@ -131,7 +132,7 @@ struct Recording {
 }
 
 impl Recording {
-    fn open(config: &Config) -> anyhow::Result<(Recording, String)> {
+    fn open(config: &Config) -> anyhow::Result<(Recording, String, SignalDescription)> {
         let settings = &config.acquisition;
         let (summary, stream) = settings.open_recording()?;
         let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
@@ -154,7 +155,8 @@ impl Recording {
             if summary.unit.is_empty() { String::new() } else { format!(", in {}", summary.unit) }
         );
         let gestures = config.decision.gestures.clone();
-        Ok((Recording { stream, next_sample: 0, gestures }, description))
+        let signal = SignalDescription { channels: summary.channels, unit: summary.unit };
+        Ok((Recording { stream, next_sample: 0, gestures }, description, signal))
     }
 }
 
