@@ -17,7 +17,7 @@ fn named_tests(page: &str) -> Vec<Named> {
         let Some(tests) = line.trim_end_matches(['|', ' ']).rsplit(" | ").next() else { continue };
         // Between backticks: every second part.
         for name in tests.split('`').skip(1).step_by(2) {
-            if name.ends_with(".rs") {
+            if name.ends_with(".rs") || name.ends_with(".py") {
                 named.push(Named { file: name.to_owned(), functions: Vec::new() });
             } else if let Some(last) = named.last_mut() {
                 last.functions.push(name.to_owned());
@@ -27,8 +27,11 @@ fn named_tests(page: &str) -> Vec<Named> {
     named
 }
 
-/// Whether the text of a file has a test of this name.
-fn has_test(text: &str, name: &str) -> bool {
+/// Whether the text of a file of Rust, or of Python's unittest, has a test of this name.
+fn has_test(file: &str, text: &str, name: &str) -> bool {
+    if file.ends_with(".py") {
+        return name.starts_with("test_") && text.contains(&format!("    def {name}(self)"));
+    }
     let function = format!("fn {name}(");
     let mut lines =
         text.lines().collect::<Vec<_>>().into_iter().rev().skip_while(|line| !line.contains(&function));
@@ -56,7 +59,10 @@ fn every_test_that_a_promise_names_exists() {
             continue;
         };
         missing.extend(
-            functions.iter().filter(|name| !has_test(&text, name)).map(|name| format!("{file}: {name}")),
+            functions
+                .iter()
+                .filter(|name| !has_test(&file, &text, name))
+                .map(|name| format!("{file}: {name}")),
         );
     }
     assert!(missing.is_empty(), "docs/promises.md names tests that are not there: {missing:#?}");
@@ -71,5 +77,10 @@ fn a_test_that_is_missing_is_noticed() {
     };
     assert_eq!(named_tests(page), [named("a.rs", &["one", "two"]), named("b.rs", &[])]);
     let text = "#[test]\n#[ignore = \"long\"]\nfn one() {\n}\n\nfn two() {}\n";
-    assert_eq!(["one", "two", "three"].map(|name| has_test(text, name)), [true, false, false]);
+    assert_eq!(["one", "two", "three"].map(|name| has_test("a.rs", text, name)), [true, false, false]);
+    let text = "class A:\n    def test_one(self):\n        pass\n\n    def two(self):\n";
+    assert_eq!(
+        ["test_one", "two", "test_two"].map(|name| has_test("a.py", text, name)),
+        [true, false, false]
+    );
 }

@@ -162,3 +162,10 @@ class Page:
         self.value("0")
         return [event["params"]["exceptionDetails"]["exception"].get("description") for event in self._browser.events
                 if event.get("method") == "Runtime.exceptionThrown" and event.get("sessionId") == self._session]
+
+
+if __name__ == "__main__":
+    # Whether there is a browser, for scripts.
+    if not find_program():
+        raise SystemExit("no browser found: the tests of the page in a browser are skipped"
+                         " (Debian: apt install chromium-headless-shell)")

@@ -128,11 +128,13 @@ class Session:
             "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
             "phase": "following", "gesture": self.gesture, "voted": self.gesture, "confidence": 0.93, "unsure": False,
             "novelty": 0.2, "probabilities": [0.93 if gesture == self.gesture else 0.014 for gesture in GESTURES],
-            "efforts": [0.5] * len(GESTURES), "mode": 0, "calibration_left_ms": 0, "zone": None, "recording": self.desk.get("recording"),
+            "efforts": [0.5] * len(GESTURES), "mode": 0, "calibration_left_ms": 0, "zone": None, "recording": (self.desk or {}).get("recording"),
             "lost_samples": 0, "lost_blocks": 0, "stale": 0, "restarts": 0, "clock_drift_ppm": 0.0, "troubles": [],
         } | (dict.fromkeys(OF_THE_ARM) | {"permission": "none"} if self.kind == "calibration" else self.state)
 
     def whole_desk(self):
+        if self.desk is None:
+            return None
         may_all = {"record": True, "gestures": True, "mode": True, "next": True}
         people = {} if self.rights == "watch" else {"people": ["anna", "bert"]}
         calibration = CUE if self.kind == "calibration" else None

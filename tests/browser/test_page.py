@@ -1,4 +1,5 @@
-"""The page in a real browser. `python3 tests/browser/test_page.py` runs it; skipped with a word where no browser is.
+"""The page of made-up sessions in a real browser. `python3 -m unittest discover tests/browser` runs this and test_session.py;
+skipped where no browser is.
 
 TENDON_BROWSER names a browser; TENDON_SCREENSHOTS names a folder that gets a screenshot of each state.
 """
@@ -207,6 +208,9 @@ class InBrowser(unittest.TestCase):
         page.click("#record")
         page.wait_for(f"{ANSWERED} === 'End of the recording: not done. the disk is full' && {name} === '■ Stop recording'")
         self.assertEqual(self.session.requests, [{"record": True}, {"record": False}])
+        # Nobody tells how the session stands any more.
+        self.session.desk = None
+        page.wait_for(f"!({is_shown('#actions')})")
 
     def test_a_note_takes_spaces_and_stop_stays_near(self):
         self.session.desk = {"recording": RECORDING}
@@ -357,20 +361,43 @@ class InBrowser(unittest.TestCase):
         page.wait_for(f"{TITLE}.startsWith('Following · grip')")
         self.assertEqual(self.session.requests, [])
 
+    def test_everything_is_reached_by_keyboard_and_the_focus_stays(self):
+        self.session.desk = {"recording": RECORDING}
+        page = self.open()
+        page.wait_for(is_shown("#next-open"))
+        reached = []
+        while len(reached) < 60 and "languages" not in reached:
+            page.press("Tab", "Tab", 9)
+            reached.append(page.value("document.activeElement.id || document.activeElement.parentElement.id"))
+        for part in ("arm", "stop", "record", "marker", "note-text", "note-add", "next-open", "modes", "make-gestures",
+                     "arm-canvas", "languages"):
+            self.assertIn(part, reached)
+        # States and desks that come do not take the focus away.
+        self.session.gesture, self.session.desk = "flexion", {}
+        page.wait_for(f"{TITLE}.startsWith('Following · flexion')")
+        page.wait_for("document.querySelector('#record-name').textContent === '● Record'")
+        self.assertEqual(page.value("document.activeElement.parentElement.id"), "languages")
+
     def test_a_tab_that_was_not_seen_catches_up_without_a_burst(self):
         page = self.open()
         page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")
         page.value("window.drawn = 0; (() => { const draw = CanvasRenderingContext2D.prototype.clearRect;"
                    " CanvasRenderingContext2D.prototype.clearRect = function (...box) {"
                    " if (this.canvas.id === 'traces') window.drawn += 1; return draw.apply(this, box); }; })()")
-        other = self.browser.open("about:blank")
-        other.call("Page.bringToFront")
-        page.wait_for("document.hidden")
+        # As browsers do it, and chromium-headless-shell does not: a tab that nobody sees gets no frames of the screen.
+        page.value("(() => { window.asked = []; window.seen = window.requestAnimationFrame;"
+                   " window.requestAnimationFrame = (draw) => window.asked.push(draw);"
+                   " Object.defineProperty(document, 'hidden', { get: () => true, configurable: true });"
+                   " document.dispatchEvent(new Event('visibilitychange')); })()")
         self.session.gesture = "flexion"
         time.sleep(1.0)
+        self.assertFalse(page.text("#standing-title").startswith("Following"))
+        self.assertLessEqual(page.value("window.asked.length"), 1)
         page.value("window.drawn = 0")
         began = time.monotonic()
-        page.call("Page.bringToFront")
+        page.value("(() => { window.requestAnimationFrame = window.seen; delete document.hidden;"
+                   " document.dispatchEvent(new Event('visibilitychange'));"
+                   " for (const draw of window.asked) window.requestAnimationFrame(draw); })()")
         page.wait_for(f"{TITLE}.startsWith('Following · flexion')")
         # 60 frames of the screen a second, and some air.
         self.assertLess(page.value("window.drawn"), 10 + 100 * (time.monotonic() - began))

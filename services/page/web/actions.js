@@ -71,7 +71,7 @@ export class Actions {
         { mode: name },
         {
           words: text("do.mode", { mode: name }),
-          isDone: (_, state) => state !== null && modeIndex(this.hello, state) === place,
+          isDone: (_, state) => modeIndex(this.hello, state) === place,
           withinMs: MODE_WITHIN_MS,
         },
       );
@@ -111,7 +111,7 @@ export class Actions {
       { record: !isOn },
       {
         words: text(isOn ? "do.record-off" : "do.record-on"),
-        isDone: (desk) => desk !== null && (desk.recording !== null) !== isOn,
+        isDone: (desk) => (desk.recording !== null) !== isOn,
       },
     );
   }
@@ -130,11 +130,13 @@ export class Actions {
     return this.desk?.recording ?? null;
   }
 
+  /** `desk` is null while nobody tells it. */
   showDesk(desk) {
-    const isNew = this.desk !== null && this.desk.recording !== desk.recording;
-    // Since when an older recording runs is not known.
-    if (isNew || desk.recording === null) this.recordedSinceMs = desk.recording === null ? null : performance.now();
+    const before = this.desk;
     this.desk = desk;
+    if (this.recording === null) this.recordedSinceMs = null;
+    // Since when an older recording runs is not known.
+    else if (before !== null && before.recording !== this.recording) this.recordedSinceMs = performance.now();
     this.refresh();
   }
 

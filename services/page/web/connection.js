@@ -111,7 +111,7 @@ export class Connection {
       this.setAway(null);
       this.handlers.state(message.state);
     } else if (message.hello) this.handlers.hello(message.hello);
-    else if (message.desk) this.handlers.desk(message.desk);
+    else if ("desk" in message) this.handlers.desk(message.desk);
     else if (message.latency) this.handlers.latency(message.latency);
     else if (message.answer) this.handlers.answer(message.answer);
   }

@@ -80,7 +80,7 @@ export class NextPanel {
 
   showDesk(desk) {
     this.desk = desk;
-    if (!desk.can?.next) this.close();
+    if (!desk?.can?.next) this.close();
   }
 
   open() {

@@ -59,6 +59,7 @@ export class Requests {
 
   /** The desk or the state has changed: is something that was asked for to be seen? */
   look(desk, state) {
+    if (desk === null || state === null) return;
     for (const [kind, asked] of this.asked) if (asked.isDone?.(desk, state)) this.succeed(kind);
   }
 

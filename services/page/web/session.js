@@ -32,6 +32,7 @@ export class SessionFacts {
     this.list.replaceChildren(
       ...Object.entries(fixed).map(([key, value]) => {
         const pair = document.createElement("div");
+        pair.dataset.fact = key;
         const term = pair.appendChild(document.createElement("dt"));
         const words = pair.appendChild(document.createElement("dd"));
         term.textContent = text(`session.${key}`);

@@ -15,6 +15,11 @@ const HALF_LINE_PX = 0.7;
 /** Rows lower than this show no words. */
 const ROW_WITH_WORDS_PX = 15;
 
+/** A unit as it is written; one that has no text, as it is called. */
+function unitName(unit) {
+  return unit == null ? text("unit.adc_counts") : text(`unit.${unit}`);
+}
+
 /** The next of 1, 2, 5, 10, 20 … that is not below a value. */
 function roundUp(value) {
   const decade = 10 ** Math.floor(Math.log10(value));
@@ -92,7 +97,7 @@ export class Traces {
         rate: number(rateHz, 1),
         lost: number(state.lost_samples),
         top: number(this.amplitude.top),
-        unit: hello.channels[0]?.unit ?? text("unit-none"),
+        unit: unitName(hello.channels[0]?.unit),
       }),
     );
     const wrong = [...this.troubles]

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use std::sync::mpsc::Sender;
 
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::json;
 use tendon_config::{Config, Gestures, Source};
 use tendon_gesture::{GestureSet, Strategy};
 use tendon_messages::Stage;
@@ -17,6 +17,8 @@ use tendon_people::{People, PersonName};
 use tendon_process::{Answer, Asked, GestureRequest, Order, Request, RequestError, RequestSocket};
 use tendon_session::{Event, Watch};
 use tendon_zones::{TaskRun, TaskStatus};
+
+use crate::calibrate::CalibrationStatus;
 
 /// The most names of people that are told: more fit into no message.
 const MOST_PEOPLE: usize = 500;
@@ -41,7 +43,7 @@ pub struct Desk {
     /// The task of the session, if it has one.
     pub task: Option<TaskStatus>,
     /// How the calibration stands, if it is one.
-    pub calibration: Option<Value>,
+    pub calibration: Option<CalibrationStatus>,
 }
 
 /// What can be asked for.
@@ -64,7 +66,6 @@ pub enum DeskKind {
     /// A session of all stages.
     Session,
     /// A guided calibration.
-    #[expect(dead_code, reason = "a calibration has no desk yet")]
     Calibration,
 }
 
@@ -72,20 +73,27 @@ impl Desk {
     /// Of what has this configuration; nothing can be asked for.
     pub fn new(kind: DeskKind, config: &Config) -> Desk {
         let person = config.inference.person.as_deref().filter(|_| is_personal(config));
-        let mut people = People::open().and_then(|people| people.names()).unwrap_or_default();
-        people.truncate(MOST_PEOPLE);
-        let strategies = Strategy::ALL.into_iter().chain((!people.is_empty()).then_some(Strategy::Personal));
-        Desk {
+        let mut desk = Desk {
             can: Can::default(),
             kind,
             recording: None,
             person: person.and_then(person_of),
             strategy: config.decision.strategy.name(),
-            strategies: strategies.map(Strategy::name).collect(),
-            people,
+            strategies: Vec::new(),
+            people: Vec::new(),
             task: None,
             calibration: None,
-        }
+        };
+        desk.look_for_people();
+        desk
+    }
+
+    /// Tells who has been calibrated by now.
+    pub fn look_for_people(&mut self) {
+        self.people = People::open().and_then(|people| people.names()).unwrap_or_default();
+        self.people.truncate(MOST_PEOPLE);
+        let personal = (!self.people.is_empty()).then_some(Strategy::Personal);
+        self.strategies = Strategy::ALL.into_iter().chain(personal).map(Strategy::name).collect();
     }
 
     /// As the page reads it.
@@ -187,6 +195,8 @@ impl SessionDesk {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::Value;
+
     use super::*;
 
     #[test]

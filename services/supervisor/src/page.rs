@@ -34,6 +34,11 @@ pub struct RunOptions {
 }
 
 impl RunOptions {
+    /// Whether somebody at the page can give orders.
+    pub fn takes_orders(&self) -> bool {
+        self.page && !self.page_watch_only
+    }
+
     /// For the page's program.
     pub fn arguments(&self) -> Vec<String> {
         arguments(self.page_port, self.page_address, self.page_watch_only)

@@ -21,6 +21,7 @@ use tendon_recordings::{Channel, RecordedSession, Recorder};
 use tendon_session::Writer;
 
 use super::round::{Live, RoundEnd};
+use super::status::Phase;
 use crate::Failure;
 use crate::personal::recorded_settings;
 
@@ -72,7 +73,7 @@ impl CheckRound<'_> {
         let mut recorder = Recorder::create(&folder, session.clone()).map_err(Failure::running)?;
         let asked = GuideSettings { rest_s: 0.0, repetitions: 1, ..self.guide.clone() };
         let mut guide = Guide::new(asked, session.sample_rate_hz);
-        if live.round(&mut guide, &mut recorder)? == RoundEnd::Stopped {
+        if live.round(Phase::Check, &mut guide, &mut recorder)? == RoundEnd::Stopped {
             return Ok(None);
         }
         drop(recorder);

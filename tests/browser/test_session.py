@@ -1,0 +1,146 @@
+"""The page of real sessions in a real browser: the built programs, the simulated amplifier, an emulated xArm7.
+
+`python3 -m unittest discover tests/browser` runs this and test_page.py. Without a browser or without the programs
+(`cargo build --workspace --bins`) it is skipped, and says so. TENDON_PROGRAMS names the programs' folder.
+"""
+
+import json
+import os
+import pathlib
+import socket
+import unittest
+
+from browser import Browser, find_program
+from programs import ROOT, Emulator, Home, find_programs, wait_until
+from test_page import ANSWERED, IS_LIVE, STOP, TITLE
+
+MODES = """
+[[decision.modes]]
+name = "y-z"
+extension = "+z"
+flexion = "-z"
+ulnar = "+y"
+radial = "-y"
+grip = "next_mode"
+
+[[decision.modes]]
+name = "x-z"
+extension = "+z"
+flexion = "-z"
+ulnar = "+x"
+radial = "-x"
+grip = "next_mode"
+"""
+#: A loaded machine is slow.
+LIMIT_S = 60.0
+
+
+@unittest.skipUnless(find_program(), "no browser found: install chromium-headless-shell, or name one in TENDON_BROWSER")
+@unittest.skipUnless(find_programs(), "the programs are not built: cargo build --workspace --bins")
+class RealSessions(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.browser = cls.enterClassContext(Browser(find_program()))
+
+    def setUp(self):
+        self.home = self.enterContext(Home(find_programs()))
+        self.name = f"browser-{os.getpid()}-{self._testMethodName[5:12]}"
+
+    def run_session(self, *words, arm=None):
+        (self.home.path / "modes.toml").write_text(MODES)
+        settings = arm.settings() if arm else []
+        return self.enterContext(self.home.tendon(
+            "run", "--session", self.name, "--config", "modes.toml", "--strategy", "direct", "--model",
+            ROOT / "models/cnn-six-class.onnx", *settings, *words))
+
+    def open(self, address, **options):
+        page = self.browser.open(address, **options)
+        self.addCleanup(lambda: self.assertEqual(page.errors(), []))
+        page.wait_for(f"{IS_LIVE} && {TITLE} !== ''", LIMIT_S)
+        return page
+
+    def screenshot(self, page, name):
+        folder = os.environ.get("TENDON_SCREENSHOTS")
+        if folder:
+            pathlib.Path(folder).mkdir(parents=True, exist_ok=True)
+            page.save_screenshot(pathlib.Path(folder) / f"real-{name}.png")
+
+    def test_a_session_is_steered_from_the_page_alone(self):
+        arm = self.enterContext(Emulator(find_programs()))
+        tendon = self.run_session("--keyboard", "--page", "--page-port", "0", arm=arm)
+        page = self.open(tendon.line("page: "))
+        # A real arm waits to be let go.
+        page.wait_for(f"{TITLE} === 'The arm waits'", LIMIT_S)
+        picture = "document.querySelector('#traces').toDataURL()"
+        page.wait_for(f"{picture} !== {json.dumps(page.value(picture))}")
+        page.click("#arm")
+        page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
+        _, _, height = arm.state()
+        page.type("e")
+        page.wait_for(f"{TITLE}.startsWith('Following · extension: up')", LIMIT_S)
+        wait_until("the arm to rise", lambda: arm.state()[2] > height + 3)
+        self.screenshot(page, "following")
+        page.press_space()
+        page.wait_for(f"{STOP} === 'STOPPED' && {TITLE} === 'The arm is stopped'", LIMIT_S)
+        state, speed, _ = arm.state()
+        self.assertEqual((state, speed), ("Stopped", 0.0))
+        self.screenshot(page, "stopped")
+        page.type("n")
+        page.value("document.querySelector('#arm').focus()")
+        page.press_enter()
+        page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
+
+        page.click("#record")
+        page.wait_for(f"{ANSWERED} === 'Recording: done'", LIMIT_S)
+        page.click("#note-text")
+        page.type("loose e")
+        page.press_enter()
+        page.wait_for(f"{ANSWERED} === 'Note “loose e”: done'", LIMIT_S)
+        page.click("#record")
+        page.wait_for(f"{ANSWERED} === 'End of the recording: done'", LIMIT_S)
+        recordings = list(self.home.path.glob("data/**/*.mcap"))
+        self.assertEqual(len(recordings), 1)
+        self.assertIn(b"loose e", recordings[0].read_bytes())
+        self.assertEqual(tendon.end(), 0)
+
+    def test_a_viewer_that_reads_nothing_holds_up_neither_another_nor_the_session(self):
+        tendon = self.run_session("--keyboard", "--page", "--page-port", "0")
+        address = tendon.line("page: ")
+        host, token = address.removeprefix("http://").split("/#")
+        with socket.socket() as deaf:
+            deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            deaf.connect((host.split(":")[0], int(host.split(":")[1])))
+            deaf.sendall(f"GET /ws?token={token} HTTP/1.1\r\nHost: {host}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+                         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode())
+            self.assertTrue(deaf.recv(12).startswith(b"HTTP/1.1 101"))
+            first, second = self.open(address), self.open(tendon.line("page, to watch only: "))
+            first.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
+            first.type("f")
+            for page in (first, second):
+                page.call("Page.bringToFront")
+                page.wait_for(f"{TITLE}.startsWith('Following · flexion')", LIMIT_S)
+            first.press_space()
+            for page in (first, second):
+                page.call("Page.bringToFront")
+                page.wait_for(f"{TITLE} === 'The arm is stopped'", LIMIT_S)
+            self.assertIn("Restarts: 0.", first.text("#latency-facts"))
+        self.assertEqual(tendon.end(), 0)
+        self.assertFalse(any("goes on without" in line for line in tendon.lines), tendon.lines)
+
+    def test_the_page_of_a_session_that_is_started_again_comes_back(self):
+        shown = self.enterContext(self.home.tendon("page", "--session", self.name, "--page-port", "0"))
+        at_rest = ("--set", 'acquisition.simulate.script="rest 60s"')
+        before = self.run_session(*at_rest)
+        page = self.open(shown.line("page: "))
+        page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
+        self.assertEqual(before.end(), 0)
+        page.wait_for(f"!({IS_LIVE})", LIMIT_S)
+        self.screenshot(page, "no-session")
+        self.run_session(*at_rest)
+        page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest'", LIMIT_S)
+        page.press_space()
+        page.wait_for(f"{STOP} === 'STOPPED'", LIMIT_S)
+
+
+if __name__ == "__main__":
+    unittest.main()
