@@ -96,6 +96,7 @@ mod tests {
     const WINDOW: u64 = 600;
     const INCREMENT: u64 = 150;
     const SESSION: Range<u64> = 0..1000;
+    const BY_KEY: Range<u64> = 203..1000;
 
     fn when(block: u64) -> u64 {
         1_000_000_000 + block * 5_000_000
@@ -181,7 +182,7 @@ mod tests {
         };
         for (what, blocks, grid_starts) in [
             ("all of it", vec![SESSION], vec![0]),
-            ("begun by key", vec![203..1000], vec![0]),
+            ("begun by key", vec![BY_KEY], vec![0]),
             ("begun by key, and a chunk is missing", vec![203..500, 537..1000], vec![0]),
             ("dsp lost blocks that were recorded", vec![SESSION], vec![0, 4010]),
             ("the source lost blocks", vec![0..300, 311..1000], vec![0, 3110]),
@@ -198,7 +199,7 @@ mod tests {
     fn a_recording_without_any_window_leaves_none_out() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("session.mcap");
-        recording(&path, &[0..300], &[]);
+        recording(&path, &[SESSION], &[]);
         assert!(RecordedWindows::read(&path, &Config::default()).unwrap().is_none());
     }
 }
