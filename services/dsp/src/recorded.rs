@@ -77,6 +77,11 @@ impl RecordedWindows {
     pub fn marks(&self, first_sample: u64) -> Option<u8> {
         self.marks.window(first_sample)
     }
+
+    /// The mode that decision was ordered to take with a window of the newest block, for its context; 0 if none was.
+    pub fn ordered_mode(&self, first_sample: u64) -> u8 {
+        self.marks.ordered_mode(first_sample)
+    }
 }
 
 #[cfg(test)]
@@ -136,6 +141,7 @@ mod tests {
                     voted: 0,
                     confidence: Number(0.0),
                     mode: 0,
+                    ordered_mode: 0,
                     frame: 0,
                     is_unsure: 0,
                     gripper_toggles: 0,

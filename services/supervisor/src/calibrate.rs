@@ -204,8 +204,12 @@ fn settings_of(
 ) -> anyhow::Result<(DatasetSettings, Option<RecordedSession>)> {
     let recorded = paths.first().map_or(Ok(None), |path| RecordedSession::read(path))?;
     let mut settings = match &recorded {
-        Some(recorded) => recorded_settings(config, recorded),
-        None => calibration_settings(config, &[], options.recording.recording_rate_hz),
+        // Its labels.csv counts; a column of labels is refused.
+        Some(recorded) => DatasetSettings {
+            label_column: options.recording.label_column.clone(),
+            ..recorded_settings(config, recorded)
+        },
+        None => calibration_settings(config, &[], &options.recording),
     };
     let given = &options.recording.channels;
     if !given.is_empty() || recorded.is_none() {

@@ -38,7 +38,7 @@ pub fn channels_or_default(
     let Some(recording) = found.recordings.iter().find(|recording| readable(recording)) else {
         return Ok(of_three_dc());
     };
-    let mut channels = muscles(&recording.path)?;
+    let mut channels = muscles(&recording.path, settings.label_column.as_ref())?;
     if RecordedSession::beside(&recording.path)?.is_none() {
         channels.truncate(DEFAULT.len());
     }

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{
-    Channel, RecordedSession, RecordingError, RecordingSource, Segment, Signals, SkippedEntry, SkippedKind,
-    is_signals, ozdemir, three_dc,
+    Channel, RecordedSession, RecordingError, RecordingSettings, RecordingSource, Segment, Signals,
+    SkippedEntry, SkippedKind, is_signals, muscles, ozdemir, three_dc,
 };
 use tendon_signal::canonical_unit;
 
@@ -95,17 +95,19 @@ pub struct Recordings {
 /// | files `.mat` | Ozdemir 2022: one a person |
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
 /// | a folder with `labels.csv` | the tables and other files that it names |
-/// | files `.edf`, `.bdf`, `.xdf` | each by itself, with its annotations or markers that name gestures |
+/// | files `.edf`, `.bdf`, `.xdf`, `.xdfz` | each by itself, with its annotations or markers that name gestures |
+/// | other tables, if `settings` name a column of labels | each by itself, with the gestures of that column |
 ///
 /// Files that look like recordings but match none of these are listed as skipped. Links to folders are followed; of each path, a
 /// folder is looked at once, however many links lead to it.
 ///
 /// # Errors
 /// When there is no recording below one of the paths or none that can be used, the layouts differ, the same recording is
-/// found twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate),
+/// found twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate, no table
+/// for a column of labels),
 /// `labels.csv` is wrong, or a folder cannot be read.
 pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, ListingError> {
-    let mut found = Found::default();
+    let mut found = Found { takes_tables: settings.label_column.is_some(), ..Found::default() };
     for path in paths {
         let skipped_before = found.skipped.len();
         found.entered.clear();
@@ -123,6 +125,12 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
     }
     if let Some((_, path)) = found.candidates.iter().find(|(_, path)| path.to_str().is_none()) {
         return Err(ListingError::NotUtf8 { path: path.clone() });
+    }
+    let is_labelled_table = |(layout, path): &(Layout, PathBuf)| {
+        *layout == Layout::Labelled && path.is_file() && !is_signals(path)
+    };
+    if found.takes_tables && !found.candidates.iter().any(is_labelled_table) {
+        return Err(ListingError::NoTable { path: first, layout });
     }
     let mut skipped = found.skipped;
     let mut unit = layout.unit().unwrap_or_default().to_owned();
@@ -149,6 +157,8 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
 /// Folders and files by their names.
 #[derive(Default)]
 struct Found {
+    /// Whether tables say themselves what was done.
+    takes_tables: bool,
     candidates: Vec<(Layout, PathBuf)>,
     /// The candidates as the system names them.
     seen: BTreeSet<PathBuf>,
@@ -203,6 +213,9 @@ impl Found {
         let is_three_dc = three_dc::parse_file_name(path).is_some();
         let is_text =
             !is_given && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
+        if self.takes_tables && is_table(path) && !is_three_dc {
+            return Ok(self.add(Layout::Labelled, path));
+        }
         if is_three_dc {
             self.skip(
                 path,
@@ -237,7 +250,8 @@ fn unlabelled(table: &Path) -> String {
     }
     format!(
         "its name is not P<person>_C<cycle>_G<gesture>.csv, and no labels.csv names it: write one beside it, with the \
-         header {} and a line for each trial, and give the folder",
+         header {} and a line for each trial, and give the folder; or, if a column of it says what was done, name that with \
+         --label-column",
         labels::COLUMNS.join(",")
     )
 }
@@ -390,8 +404,11 @@ fn labelled_recordings(
     let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
-        if is_signals(folder) && folder.is_file() {
-            files.extend(own_cues(folder, unit, skipped)?.map(|file| (file, None)));
+        if folder.is_file() {
+            match own_cues(settings, folder, unit) {
+                Ok(file) => files.push((file, None)),
+                Err(entry) => skipped.push(entry),
+            }
             continue;
         }
         let recorded = RecordedSession::read(folder)?;
@@ -451,44 +468,69 @@ fn labelled_recordings(
     Ok(recordings)
 }
 
-/// A file whose annotations or markers say what was done when; `None` if it cannot be used. Its unit becomes `unit` if that is
-/// empty.
+/// A file that says itself what was done when, or why it cannot be used. Its unit becomes `unit` if that is empty.
 fn own_cues(
+    settings: &DatasetSettings,
     file: &Path,
     unit: &mut String,
-    skipped: &mut Vec<SkippedEntry>,
-) -> Result<Option<LabelledFile>, ListingError> {
-    let mut skip = |kind, reason: String| {
-        skipped.push(SkippedEntry { path: file.to_owned(), kind, reason });
-        Ok(None)
-    };
-    let signals = match Signals::read(file, &[Channel::Index(0)]) {
-        Ok(signals) => signals,
-        Err(error) => return skip(SkippedKind::Unreadable, error.below(file)),
-    };
-    if signals.cues.is_empty() {
-        return skip(
+) -> Result<LabelledFile, SkippedEntry> {
+    let skipped = |kind, reason: String| SkippedEntry { path: file.to_owned(), kind, reason };
+    let read = if is_signals(file) { signals_with_cues(file) } else { labelled_table(settings, file) };
+    let (segments, own_unit) = read.map_err(|error| match error {
+        RecordingError::SampleRateMissing { .. } => skipped(
+            SkippedKind::Unreadable,
+            "it does not state its sampling rate: give it with --recording-rate-hz, e.g. 2000".to_owned(),
+        ),
+        error => skipped(SkippedKind::Unreadable, error.below(file)),
+    })?;
+    if segments.iter().all(|segment| segment.cue.is_none()) {
+        return Err(skipped(
             SkippedKind::NoLabel,
             "no annotation or marker in it names a gesture: write a labels.csv beside it that says what it shows".to_owned(),
-        );
+        ));
     }
-    let Some((person, session)) = labels::origin_of_name(file) else {
-        return skip(
+    let (person, session) = labels::origin_of_name(file).ok_or_else(|| {
+        skipped(
             SkippedKind::Person,
-            "neither its name nor its folder's says whose it is: call it sub-PERSON_….edf, or put it into a folder with the \
-             person's name"
-                .to_owned(),
-        );
-    };
-    let own_unit = canonical_unit(&signals.unit);
+            format!(
+                "neither its name nor its folder's says whose it is: call it sub-PERSON_….{}, or put it into a folder with the \
+                 person's name",
+                file.extension().unwrap_or_default().display()
+            ),
+        )
+    })?;
+    let own_unit = canonical_unit(&own_unit);
     if unit.is_empty() {
         *unit = own_unit.to_owned();
     } else if *unit != own_unit {
-        return skip(
+        return Err(skipped(
             SkippedKind::Other,
             format!("its samples are in {own_unit}, those of others in {unit}: give them separately"),
-        );
+        ));
     }
-    let segments = signals.segments(file);
-    Ok(Some(LabelledFile { path: file.to_owned(), person, session, segments }))
+    Ok(LabelledFile { path: file.to_owned(), person, session, segments })
+}
+
+/// The trials of a file by its annotations or markers, and its unit.
+fn signals_with_cues(file: &Path) -> Result<(Vec<Segment>, String), RecordingError> {
+    let signals = Signals::read(file, &[Channel::Index(0)])?;
+    Ok((signals.segments(file), signals.unit))
+}
+
+/// The trials of a table by its column of labels, and its unit.
+fn labelled_table(settings: &DatasetSettings, file: &Path) -> Result<(Vec<Segment>, String), RecordingError> {
+    let label_column = settings.label_column.clone();
+    let mut channels = muscles(file, label_column.as_ref())?;
+    channels.truncate(1);
+    if channels.is_empty() {
+        channels.push(Channel::Index(0));
+    }
+    let settings = RecordingSettings {
+        channels,
+        sample_rate_hz: settings.recording_rate_hz,
+        repetition: None,
+        label_column,
+    };
+    let source = RecordingSource::open(file, &settings)?;
+    Ok((source.segments().to_vec(), source.unit().to_owned()))
 }

@@ -38,14 +38,18 @@ pub(crate) enum Content {
 }
 
 impl Recording {
-    /// Opens it to be read.
-    pub(crate) fn open(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
+    /// Opens it to be read at its own rate.
+    ///
+    /// # Errors
+    /// When it cannot be opened, or lacks a channel.
+    pub fn open(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
         match &self.content {
             Content::ThreeDc { repetition } => {
                 let settings = RecordingSettings {
                     channels: settings.channels.clone(),
                     sample_rate_hz: settings.recording_rate_hz,
                     repetition: Some(*repetition),
+                    label_column: None,
                 };
                 RecordingSource::open(&self.path, &settings)
             }

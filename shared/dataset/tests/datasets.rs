@@ -61,6 +61,17 @@ fn write_table(path: &Path, seed: usize, samples: usize) {
     fs::write(path, lines).unwrap();
 }
 
+/// The same with a column of labels behind the channels.
+fn write_labelled_table(path: &Path, seed: usize, samples: usize, label: impl Fn(usize) -> &'static str) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    write_table(path, seed, samples);
+    let text = fs::read_to_string(path).unwrap();
+    let lines = text.lines().enumerate().map(|(row, line)| format!("{line},{}\n", label(row)));
+    let columns = text.lines().next().unwrap().split(',').count();
+    let names: String = (0..columns).map(|column| format!("EMG {column},")).collect();
+    fs::write(path, format!("{names}done\n{}", lines.collect::<String>())).unwrap();
+}
+
 /// 3DC recordings of `people`: two sessions of two repetitions of rest, two of our gestures and one that is not.
 fn write_three_dc(folder: &Path, people: &[u16]) {
     for &person in people {
@@ -792,6 +803,32 @@ fn annotations_say_what_labels_would() {
     // Where there are labels, these count.
     let (_, named_windows, named_trials) = built(&named, None);
     assert!(named_windows == windows && named_trials == trials);
+    // And so does a column of a table.
+    let columns = temporary.path().join("columns");
+    for (file, seed) in [("all/sub-anna_ses-1_task-grasp_emg.csv", 1), ("ben/later.csv", 2)] {
+        write_labelled_table(&columns.join(file), seed, 5000, |row| match row {
+            500..2000 => "rest",
+            2250..3500 => "Grip",
+            4000..5000 => "extension",
+            _ => "good one",
+        });
+    }
+    write_labelled_table(&columns.join("ben/nothing.csv"), 2, 5000, |_| "?!");
+    fs::write(columns.join("ben/participants.tsv"), "name\tage\nben\t30\n").unwrap();
+    let label_column = Some(Channel::from("done"));
+    let labelled = DatasetSettings { recording_rate_hz: Some(1000.0), label_column, ..settings() };
+    let found = dataset::list(&labelled, std::slice::from_ref(&columns)).unwrap();
+    assert_eq!(found.recordings.len(), 2);
+    let reasons = found.skipped.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+    assert!(found.skipped.len() == 2 && reasons.contains("column `done` names no gesture"), "{reasons}");
+    let out = temporary.path().join("columns.out");
+    let of_columns = build(&labelled, &BuildSettings::default(), &columns, &out).unwrap();
+    let stored = StoredDataset::open(&out).unwrap();
+    let column_windows: Vec<f32> =
+        (0..stored.len()).flat_map(|window| stored.window(window).to_vec()).collect();
+    assert!(column_windows == windows && of_columns.recordings.len() == 6);
+    let refused = dataset::list(&labelled, std::slice::from_ref(&tables)).unwrap_err().to_string();
+    assert!(refused.contains("--label-column is for tables of your own without a labels.csv"), "{refused}");
     assert_eq!(manifest.recordings[0].session, "ses-1_task-grasp_emg");
     assert_eq!(manifest.skipped.len(), 1, "{:?}", manifest.skipped);
     assert!(manifest.skipped[0].reason.contains("no annotation or marker in it names a gesture"));

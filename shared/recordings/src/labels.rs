@@ -106,7 +106,7 @@ impl FileClock {
         let settings = RecordingSettings {
             channels: vec![Channel::Index(0)],
             sample_rate_hz: given_hz,
-            repetition: None,
+            ..RecordingSettings::default()
         };
         let mut source = RecordingSource::open(path, &settings)?;
         let mut stretches = vec![(0, 0)];

@@ -212,7 +212,7 @@ impl fmt::Display for Notice {
             ),
             Notice::SamplesMissing { file, samples } => write!(
                 formatter,
-                "{}: {samples} samples are no finite number in one of the channels and are taken as missing",
+                "{}: {samples} samples are no finite number in one of the channels, or only fill a record up: they are taken as missing",
                 file.display()
             ),
             Notice::RateApproximated { from_hz, to_hz, up, down, error_ppm } => write!(

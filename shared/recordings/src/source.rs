@@ -30,6 +30,9 @@ pub struct RecordingSettings {
     /// Of a 3DC folder, only this repetition; all in order if not given.
     #[serde(default)]
     pub repetition: Option<u32>,
+    /// Of a plain table, the column that says what was done; found by its name if not given.
+    #[serde(default)]
+    pub label_column: Option<Channel>,
 }
 
 /// What [`RecordingSource::next_frame`] says beside the samples.
@@ -145,7 +148,7 @@ impl RecordingSource {
     /// |---|---|
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
-    /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
+    /// | a file `.edf`, `.bdf`, `.xdf` or `.xdfz` | its [`Signals`], with the cues that its annotations or markers give |
     /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)), with cues only if a column says what was done, at the rate that it tells, that a `session.toml` of Tendon beside it states, or `settings.sample_rate_hz` |
     ///
     /// # Errors
@@ -156,12 +159,18 @@ impl RecordingSource {
             if settings.repetition.is_some() {
                 return Err(RecordingError::RepetitionOfFile { file: path.to_owned() });
             }
+            if settings.label_column.is_some() {
+                return Err(RecordingError::OwnCues { path: path.to_owned() });
+            }
             return RecordingSource::of_signals(path, None, &settings.channels, settings.sample_rate_hz);
         }
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
         let given_hz = settings.sample_rate_hz;
         let mut source = if segments[0].repetition.is_some() {
+            if settings.label_column.is_some() {
+                return Err(RecordingError::OwnCues { path: path.to_owned() });
+            }
             let sample_rate_hz = sample_rate(path, Some(three_dc::SAMPLE_RATE_HZ), given_hz)?;
             let (text, _) = Text::open(&segments[0].file)?;
             let table = Table::open(text.bytes(), &settings.channels);
@@ -174,7 +183,12 @@ impl RecordingSource {
                 Some(_) => Some(sample_rate(path, recorded_hz, given_hz)?),
                 None => given_hz,
             };
-            RecordingSource::of_table(segments, &settings.channels, given_hz)?
+            RecordingSource::of_labelled_table(
+                segments,
+                &settings.channels,
+                given_hz,
+                settings.label_column.as_ref(),
+            )?
         };
         source.notices.splice(..0, notices);
         Ok(source)
@@ -187,9 +201,19 @@ impl RecordingSource {
     /// # Errors
     /// When the file cannot be opened, lacks a channel, or has no rate or another one.
     pub fn of_table(
+        segments: Vec<Segment>,
+        channels: &[Channel],
+        given_hz: Option<f64>,
+    ) -> Result<RecordingSource, RecordingError> {
+        RecordingSource::of_labelled_table(segments, channels, given_hz, None)
+    }
+
+    /// The same, divided by `label_column` if that is given.
+    fn of_labelled_table(
         mut segments: Vec<Segment>,
         channels: &[Channel],
         given_hz: Option<f64>,
+        label_column: Option<&Channel>,
     ) -> Result<RecordingSource, RecordingError> {
         let file = &segments[0].file.clone();
         let (text, notice) = Text::open(file)?;
@@ -198,8 +222,10 @@ impl RecordingSource {
         let mut own_hz = None;
         let mut unit = String::new();
         // Of a recording that Tendon made, all columns are channels.
-        if !is_recorded(file) {
+        if label_column.is_some() || !is_recorded(file) {
             let columns = table::columns(text.bytes()).map_err(RecordingError::table(file))?;
+            let labels = label_column.map(|column| table::find(&columns, column)).transpose();
+            let labels = labels.map_err(RecordingError::table(file))?;
             let chosen = table.chosen_columns();
             let odd = chosen.iter().filter(|column| columns[**column].kind != ColumnKind::Muscle);
             notices.extend(odd.map(|column| {
@@ -210,14 +236,27 @@ impl RecordingSource {
             let common = units.clone().next().filter(|first| units.clone().all(|unit| unit == *first));
             unit = common.cloned().unwrap_or_default();
             let is_undivided = matches!(&segments[..], [Segment { repetition: None, end_sample: None, .. }]);
-            if is_undivided
-                && let Some((column, labelled)) = column_labels::segments(file, text.bytes(), &columns)
-            {
-                notices.push(Notice::Labels { file: file.clone(), column });
-                segments = labelled;
+            if let Some(column) = labels.or(table::truth(&columns)).filter(|_| is_undivided) {
+                let name = table.name(column);
+                match column_labels::segments(file, text.bytes(), column) {
+                    Some(labelled) => {
+                        segments = labelled;
+                        notices.push(Notice::Labels { file: file.clone(), column: name });
+                    }
+                    None if labels.is_some() => {
+                        return Err(RecordingError::NoLabels { file: file.clone(), column: name });
+                    }
+                    None => {}
+                }
             }
             let timing = table.watch_time(text.bytes(), &columns).map_err(RecordingError::table(file))?;
-            own_hz = timing.rate_hz;
+            own_hz = timing.rate_hz.filter(|_| !given_hz.is_some_and(|given| timing.allows(given)));
+            if timing.rate_hz.is_none() && given_hz.is_none() && !timing.unclear_hz.is_empty() {
+                return Err(RecordingError::SampleRateUnclear {
+                    file: file.clone(),
+                    stated: timing.unclear_hz,
+                });
+            }
             let is_guess = matches!(timing.remark, Some(TimingRemark::TakenAsMilliseconds { .. }));
             if is_guess && given_hz.is_some() {
                 own_hz = None;
@@ -225,8 +264,7 @@ impl RecordingSource {
                 notices.push(Notice::Time { file: file.clone(), remark });
             }
         }
-        let is_given = |hz: f64| given_hz.is_some_and(|given| table::is_same_rate(given, hz));
-        let sample_rate_hz = sample_rate(file, own_hz.filter(|hz| !is_given(*hz)), given_hz)?;
+        let sample_rate_hz = sample_rate(file, own_hz, given_hz)?;
         let samples = Samples::Table { table, text, unit };
         Ok(RecordingSource::of(samples, channels.len(), segments, notices, sample_rate_hz))
     }
@@ -516,24 +554,30 @@ impl RecordingSource {
     }
 }
 
-/// The channels of the table at `path` that are muscles, as far as can be told; of a recording that Tendon made, all.
+/// The channels of the table at `path` that are muscles, as far as can be told; of a recording that Tendon made, all. The column
+/// of labels, if one is given and there, is none.
 ///
 /// # Errors
 /// When it cannot be opened or is no table.
-pub fn muscles(path: &Path) -> Result<Vec<Channel>, RecordingError> {
-    muscles_of(path, table::muscles)
+pub fn muscles(path: &Path, label_column: Option<&Channel>) -> Result<Vec<Channel>, RecordingError> {
+    muscles_of(path, label_column, table::muscles)
 }
 
-/// The first `count` channels of the table at `path` that are muscles.
+/// The first `count` channels of the table at `path` that are muscles, as for [`muscles`].
 ///
 /// # Errors
-/// When it cannot be opened, is no table, or has too few.
-pub fn first_muscles(path: &Path, count: usize) -> Result<Vec<Channel>, RecordingError> {
-    muscles_of(path, |columns| table::first_muscles(columns, count))
+/// As for [`muscles`], or when there are too few.
+pub fn first_muscles(
+    path: &Path,
+    count: usize,
+    label_column: Option<&Channel>,
+) -> Result<Vec<Channel>, RecordingError> {
+    muscles_of(path, label_column, |columns| table::first_muscles(columns, count))
 }
 
 fn muscles_of(
     path: &Path,
+    label_column: Option<&Channel>,
     choose: impl FnOnce(&[table::Column]) -> Result<Vec<Channel>, TableError>,
 ) -> Result<Vec<Channel>, RecordingError> {
     if is_signals(path) {
@@ -550,6 +594,9 @@ fn muscles_of(
     let columns = table::columns(text.bytes()).and_then(|mut columns| {
         if is_recorded(path) {
             columns.iter_mut().for_each(|column| column.kind = ColumnKind::Muscle);
+        }
+        if let Some(Ok(place)) = label_column.map(|labels| table::find(&columns, labels)) {
+            columns[place].kind = ColumnKind::Label;
         }
         choose(&columns)
     });

@@ -1,4 +1,4 @@
-//! XDF, as LabRecorder writes streams of the Lab Streaming Layer.
+//! XDF, as LabRecorder writes streams of the Lab Streaming Layer; compressed by gzip it is called `.xdfz`.
 //!
 //! ```text
 //! XDF:  then chunks: length, tag, content
@@ -17,8 +17,10 @@ mod chunks;
 mod clock;
 mod stream;
 
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
+use flate2::bufread::MultiGzDecoder;
 use tendon_signal::unit_factor;
 
 use crate::segment::Notice;
@@ -28,6 +30,27 @@ use crate::table::Channel;
 use chunks::Contents;
 use clock::{Clock, Stretch, stretches};
 use stream::{Samples, Stream};
+
+/// The content of a file `.xdfz`, which is compressed by gzip; of one that was cut off what comes before.
+///
+/// # Errors
+/// When it is no such file, is damaged, or holds more than 8 GiB.
+pub fn unpacked(bytes: &[u8]) -> Result<Vec<u8>, SignalsError> {
+    const LARGEST: u64 = 8 << 30;
+    let mut content = Vec::new();
+    let read = MultiGzDecoder::new(bytes).take(LARGEST + 1).read_to_end(&mut content);
+    match read {
+        Err(error) if error.kind() != ErrorKind::UnexpectedEof => Err(if content.is_empty() {
+            SignalsError::OtherKind("XDF compressed by gzip")
+        } else {
+            SignalsError::Damaged(format!("it cannot be unpacked ({error})"))
+        }),
+        _ if content.len() as u64 > LARGEST => {
+            Err(SignalsError::Damaged("unpacked, it would have more than 8 GiB".to_owned()))
+        }
+        _ => Ok(content),
+    }
+}
 
 /// Reads the file `path` with the content `bytes`: these channels of one stream, by name or number.
 ///
@@ -281,6 +304,30 @@ mod tests {
         let cut = open(&whole[..whole.len() - foot.len()], &[0.into()]).unwrap();
         let read = "2.0 s of A".to_owned();
         assert_eq!(cut.notices[1..], [Notice::CutOff { file: "a.xdf".into(), read }]);
+    }
+
+    #[test]
+    fn a_compressed_file_holds_the_same_and_is_read_up_to_where_it_was_cut_off() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.xdfz");
+        let read = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            Signals::read(&path, &["flexor".into()]).map_err(|error| error.to_string())
+        };
+        let mut packed = Vec::new();
+        let mut encoder = flate2::write::GzEncoder::new(&mut packed, flate2::Compression::fast());
+        std::io::Write::write_all(&mut encoder, STREAMS).unwrap();
+        encoder.finish().unwrap();
+        let whole = open(STREAMS, &["flexor".into()]).unwrap();
+        assert_eq!(read(&packed).unwrap(), whole);
+        let cut = read(&packed[..packed.len() * 9 / 10]).unwrap();
+        assert!(whole.columns[0].starts_with(&cut.columns[0]) && cut.columns[0].len() > 100);
+        assert!(matches!(cut.notices[..], [Notice::CutOff { .. }]), "{:?}", cut.notices);
+        assert!(
+            read(STREAMS).unwrap_err().contains("of the kind that its name says (XDF compressed by gzip)")
+        );
+        packed[300..400].fill(0xFF);
+        assert!(read(&packed).unwrap_err().contains("is damaged"));
     }
 
     #[test]

@@ -18,9 +18,7 @@ use tendon_people::{People, Person};
 use tendon_process::SignalDescription;
 use tendon_provenance::Provenance;
 use tendon_recordings::{RecordedSession, Recorder};
-use tendon_session::{
-    AcquisitionWatch, Companion, Event, Keyboard, Keys, RobotLine, Writer, stop_on_signals,
-};
+use tendon_session::{AcquisitionWatch, Event, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
 use tendon_transport::{Leftovers, SessionLock};
 
 use super::board::StatusBoard;
@@ -30,9 +28,11 @@ use super::recording::Recording;
 use super::round::{Attendance, Live, RoundEnd};
 use super::status::{CalibrationStatus, Phase};
 use super::{Fitted, Selection, fit, report, update};
+use crate::next::Handover;
 use crate::options::duration;
+use crate::page::Page;
 use crate::personal::{WINDOWS, ask_for, check_simulated, is_simulated, personal_windows};
-use crate::{Failure, TERMINAL_TIMEOUT, checks, page};
+use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// What the keys do.
 const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
@@ -97,7 +97,8 @@ fn attend(plan: Plan<'_>, begun: Provenance, json: Option<&OutputFile>) -> Resul
     let has_keys = Keyboard::is_there();
     let keyboard = has_keys.then(|| Keyboard::listen(&robot, &sender, Keys::Guide));
     let keyboard = keyboard.transpose().context("keys").map_err(Failure::input)?;
-    let start = || Companion::start(page::PROGRAM, &plan.config, &options.page.arguments(), &errors);
+    let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
+    let start = || Page::start(&options.page, &plan.config, before.as_ref(), &errors);
     let mut page = options.page.page.then(start).transpose().map_err(Failure::running)?;
     let attendance = Attendance { has_keys, has_page: options.page.takes_orders() };
     let place = Place { errors: &errors, board: &board, robot: &robot, sender: &sender, events: &events };
@@ -123,7 +124,7 @@ fn attend(plan: Plan<'_>, begun: Provenance, json: Option<&OutputFile>) -> Resul
 }
 
 /// Keeps on the page what came of a calibration, until somebody goes on from there or ends it.
-fn hold(page: &mut Companion, events: &Receiver<Event>, errors: &Writer) {
+fn hold(page: &mut Page, events: &Receiver<Event>, errors: &Writer) {
     errors.say(HELD);
     loop {
         match events.recv_timeout(HOLD_LOOK) {

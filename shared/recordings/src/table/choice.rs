@@ -1,7 +1,7 @@
 //! What the columns of a table are, and which of them are taken where nobody chooses.
 
 use super::cells::{Cells, Separator, is_missing, line_at, without_quotes};
-use super::channel::Channel;
+use super::channel::{Channel, places};
 use super::column::{self, Column, ColumnKind, Shape, kind_of, truth_rank};
 use super::head::Head;
 use super::problem::{TableError, TableProblem, error_at};
@@ -63,6 +63,17 @@ pub(crate) fn columns_by_name(names: &[String]) -> Vec<Column> {
         Column { name: name.clone(), unit: String::new(), rate_hz: None, kind }
     };
     names.iter().map(column).collect()
+}
+
+/// Where a column is.
+pub(crate) fn find(columns: &[Column], column: &Channel) -> Result<usize, TableError> {
+    let mut names: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
+    // Of a table without a header.
+    if names.iter().all(String::is_empty) {
+        names.clear();
+    }
+    let places = places(std::slice::from_ref(column), columns.len(), &names)?;
+    Ok(places.iter().position(Option::is_some).unwrap_or(0))
 }
 
 /// The column of labels that says what was done, by its name.
