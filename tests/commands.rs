@@ -423,6 +423,10 @@ fn a_column_of_labels_serves_every_command_that_reads_recordings() {
         (vec!["strategies", path, "--strategy", "direct"], "strategy direct"),
         (vec!["calibrate", "anna", "--from", path], "anna: 2 gestures on channels a, b, c, d"),
         (vec!["profile", "fit", path, "--out", "me.toml"], "profile of 4 channels"),
+        (
+            vec!["profile", "fit", folder.path().to_str().unwrap(), "--out", "me.toml"],
+            "profile of 4 channels",
+        ),
     ] {
         let options = ["--label-column", "done", "--recording-rate-hz", "1000"];
         let arguments = [&command[..], &options].concat();

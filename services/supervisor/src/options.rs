@@ -113,7 +113,7 @@ impl Base {
 pub struct RecordingOptions {
     /// Channels of the recordings in this order, by number from 0 or by the name that the recordings give them [default: those
     /// that the model or person names; else all of what Tendon recorded, of your own recordings the first that look like EMG, of
-    /// 3DC 0,3,5,8].
+    /// 3DC 0,3,5,8, of Ozdemir 2022 0,1,2,3].
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = named_channel)]
     pub channels: Vec<Channel>,
     /// Sampling rate of recordings that do not state it, Hz.

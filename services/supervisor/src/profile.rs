@@ -78,8 +78,12 @@ fn refuse_other_file(out: &Path) -> anyhow::Result<()> {
 }
 
 fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
-    let (three_dc, others): (Vec<&PathBuf>, Vec<&PathBuf>) =
-        options.recordings.iter().partition(|path| three_dc::is_three_dc(path));
+    // Single files and folders of any name, too.
+    let is_three_dc = |path: &&PathBuf| {
+        three_dc::parse_file_name(path).is_some()
+            || three_dc::repetitions(path).is_ok_and(|repetitions| !repetitions.is_empty())
+    };
+    let (three_dc, others): (Vec<&PathBuf>, Vec<&PathBuf>) = options.recordings.iter().partition(is_three_dc);
     let settings = options.recording.settings(DatasetSettings::default());
     let channels = if others.is_empty() {
         let given = options.recording.channels.clone();

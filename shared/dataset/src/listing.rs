@@ -12,11 +12,11 @@ use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{
     Channel, RecordedSession, RecordingError, RecordingSettings, RecordingSource, Segment, Signals,
-    SkippedEntry, SkippedKind, is_signals, muscles, ozdemir, three_dc,
+    SkippedEntry, SkippedKind, is_signals, muscles, ozdemir, three_dc, unit_of_table,
 };
-use tendon_signal::canonical_unit;
+use tendon_signal::{canonical_unit, unit_factor};
 
-use crate::recording::{Content, Recording};
+use crate::recording::{Content, Recording, Units};
 use crate::settings::DatasetSettings;
 
 pub use problem::ListingError;
@@ -381,6 +381,7 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
                 samples_lost_before: 0,
             }],
             default_hz: Some(ozdemir::SAMPLE_RATE_HZ),
+            units: Units::default(),
         },
     };
     Ok(by_trial.into_iter().map(recording).collect())
@@ -401,29 +402,34 @@ fn labelled_recordings(
     skipped: &mut Vec<SkippedEntry>,
     unit: &mut String,
 ) -> Result<Vec<Recording>, ListingError> {
-    let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
+    // Each with the rate that its folder states, and its unit.
+    let mut files: Vec<(LabelledFile, Option<f64>, String)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
         if folder.is_file() {
-            match own_cues(settings, folder, unit) {
-                Ok(file) => files.push((file, None)),
+            match own_cues(settings, folder) {
+                Ok((file, own_unit)) => {
+                    let own_unit = take_unit(folder, &own_unit, unit, skipped);
+                    files.extend(own_unit.map(|own_unit| (file, None, own_unit)));
+                }
                 Err(entry) => skipped.push(entry),
             }
             continue;
         }
         let recorded = RecordedSession::read(folder)?;
         let default_hz = recorded.as_ref().map(|session| session.sample_rate_hz);
-        if let Some(recorded) = recorded.as_ref().filter(|_| unit.is_empty()) {
-            *unit = canonical_unit(&recorded.unit).to_owned();
-        }
         for mut file in labels::read(folder, settings.recording_rate_hz.or(default_hz), skipped)? {
             let is_rate_known = settings.recording_rate_hz.or(default_hz).is_some();
             if !is_rate_known && !is_signals(&file.path) && tells_no_rate(&file) {
                 return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
             }
-            if unit.is_empty() && is_signals(&file.path) {
-                *unit = canonical_unit(&Signals::read(&file.path, &[Channel::Index(0)])?.unit).to_owned();
-            }
+            let own_unit = match &recorded {
+                Some(recorded) => recorded.unit.clone(),
+                None if is_signals(&file.path) => Signals::read(&file.path, &[Channel::Index(0)])?.unit,
+                // What is wrong with a table shows when it is read.
+                None => unit_of_table(&file.path, &settings.channels).unwrap_or_default(),
+            };
+            let Some(own_unit) = take_unit(&file.path, &own_unit, unit, skipped) else { continue };
             if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {
                 file.person = session.person;
             }
@@ -431,12 +437,12 @@ fn labelled_recordings(
                 let what = file.path.display().to_string();
                 return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
             }
-            files.push((file, default_hz));
+            files.push((file, default_hz, own_unit));
         }
     }
     // Of each person the sessions, in the order in which they are named, and how many repetitions a session has.
     let mut sessions: BTreeMap<PersonId, (Vec<String>, u32)> = BTreeMap::new();
-    for (file, _) in &files {
+    for (file, ..) in &files {
         let (names, repetitions) = sessions.entry(file.person).or_default();
         if !names.contains(&file.session) {
             names.push(file.session.clone());
@@ -444,18 +450,20 @@ fn labelled_recordings(
         *repetitions = (*repetitions).max(file.last_repetition() + 1);
     }
     let mut recordings = Vec::new();
-    for (LabelledFile { path, person, session, segments }, default_hz) in files {
+    for (LabelledFile { path, person, session, segments }, default_hz, own) in files {
         let (names, repetitions) = &sessions[&person];
         if names.len() as u32 * repetitions > u32::from(u8::MAX) + 1 {
             return Err(ListingError::TooManyRepetitions { person });
         }
         let place = names.iter().position(|name| *name == session).unwrap_or(0) as u32;
+        let units = Units { own, wanted: unit.clone() };
         let content = match is_signals(&path) {
             // Those of the folder's labels; its own cues are found again when it is opened.
             true => {
-                Content::Signals { segments: folder_of_file.contains_key(&real(&path)).then_some(segments) }
+                let segments = folder_of_file.contains_key(&real(&path)).then_some(segments);
+                Content::Signals { segments, units }
             }
-            false => Content::Table { segments, default_hz },
+            false => Content::Table { segments, default_hz, units },
         };
         recordings.push(Recording {
             path,
@@ -469,11 +477,7 @@ fn labelled_recordings(
 }
 
 /// A file that says itself what was done when, or why it cannot be used. Its unit becomes `unit` if that is empty.
-fn own_cues(
-    settings: &DatasetSettings,
-    file: &Path,
-    unit: &mut String,
-) -> Result<LabelledFile, SkippedEntry> {
+fn own_cues(settings: &DatasetSettings, file: &Path) -> Result<(LabelledFile, String), SkippedEntry> {
     let skipped = |kind, reason: String| SkippedEntry { path: file.to_owned(), kind, reason };
     let read = if is_signals(file) { signals_with_cues(file) } else { labelled_table(settings, file) };
     let (segments, own_unit) = read.map_err(|error| match error {
@@ -499,16 +503,34 @@ fn own_cues(
             ),
         )
     })?;
-    let own_unit = canonical_unit(&own_unit);
+    Ok((LabelledFile { path: file.to_owned(), person, session, segments }, own_unit))
+}
+
+/// The canonical spelling of a file's unit `own`, which becomes `unit` if that is empty; `None` if it cannot be converted to
+/// `unit`, so that the file cannot be used. Says if it is to be converted.
+fn take_unit(file: &Path, own: &str, unit: &mut String, skipped: &mut Vec<SkippedEntry>) -> Option<String> {
+    let own = canonical_unit(own);
     if unit.is_empty() {
-        *unit = own_unit.to_owned();
-    } else if *unit != own_unit {
-        return Err(skipped(
-            SkippedKind::Other,
-            format!("its samples are in {own_unit}, those of others in {unit}: give them separately"),
-        ));
+        own.clone_into(unit);
     }
-    Ok(LabelledFile { path: file.to_owned(), person, session, segments })
+    if !own.is_empty() && own != unit {
+        let is_convertible = unit_factor(own, unit).is_ok();
+        let (kind, reason) = match is_convertible {
+            true => (
+                SkippedKind::Notice,
+                format!("its samples are in {own} and are converted to {unit}, as the first has it"),
+            ),
+            false => (
+                SkippedKind::Other,
+                format!("its samples are in {own}, those of others in {unit}: give them separately"),
+            ),
+        };
+        skipped.push(SkippedEntry { path: file.to_owned(), kind, reason });
+        if !is_convertible {
+            return None;
+        }
+    }
+    Some(own.to_owned())
 }
 
 /// The trials of a file by its annotations or markers, and its unit.

@@ -843,6 +843,51 @@ fn annotations_say_what_labels_would() {
 }
 
 #[test]
+fn tables_keep_their_unit_and_those_in_another_are_converted_to_that_of_the_first() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    let table = |name: &str, head: &str, factors: [f64; 2]| {
+        let rows = noise(1, 1000).map(|row| {
+            let cells =
+                row.iter().zip(factors).map(|(value, factor)| (f64::from(*value) * factor).to_string());
+            cells.collect::<Vec<_>>().join(",") + "\n"
+        });
+        fs::write(folder.join(name), head.to_owned() + &rows.collect::<String>()).unwrap();
+    };
+    table("a.csv", "x,y\nmV,mV\n", [1.0, 1.0]);
+    table("b.csv", "x (uV),y (uV)\n", [1e3, 1e3]);
+    table("c.csv", "x [mV],y [V]\n", [1.0, 1e-3]);
+    table("d.csv", "x,y\n", [1.0, 1.0]);
+    table("e.csv", "x,y\nadc_counts,adc_counts\n", [1.0, 1.0]);
+    let lines: String = "abcde".chars().map(|name| format!("{name}.csv,1,0,grip\n")).collect();
+    fs::write(folder.join("labels.csv"), format!("file,person,repetition,gesture\n{lines}")).unwrap();
+    let settings = DatasetSettings { recording_rate_hz: Some(1000.0), ..settings() };
+    let found = dataset::list(&settings, &[folder.to_owned()]).unwrap();
+    assert_eq!(found.unit, "mV");
+    let said: Vec<_> = found.skipped.iter().map(|entry| (entry.kind, entry.to_string())).collect();
+    let [(SkippedKind::Notice, converted), (SkippedKind::Other, left_out)] = &said[..] else {
+        panic!("{said:?}")
+    };
+    assert!(converted.contains("b.csv: its samples are in uV and are converted to mV"), "{converted}");
+    assert!(left_out.contains("e.csv: its samples are in adc_counts, those of others in mV"), "{left_out}");
+    let samples: Vec<Vec<f32>> = found
+        .recordings
+        .iter()
+        .map(|recording| {
+            let mut block = vec![0.0; 200];
+            recording.stream(&settings, 100).unwrap().next_block(&mut block).unwrap().unwrap();
+            block
+        })
+        .collect();
+    assert_eq!(samples.len(), 4);
+    for (own, first) in samples.iter().flat_map(|own| own.iter().zip(&samples[0])) {
+        assert!((own - first).abs() < 1e-3, "{own} and {first}");
+    }
+    let manifest = build(&settings, &BuildSettings::default(), folder, &folder.join("out")).unwrap();
+    assert_eq!(manifest.unit, "mV");
+}
+
+#[test]
 fn a_trial_too_long_for_memory_is_listed_and_the_rest_is_used() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = temporary.path().join("own");

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use tendon_signal::DesignError;
+use tendon_signal::{DesignError, UnitError};
 
 use crate::mat::MatError;
 use crate::recorder::RecorderError;
@@ -55,7 +55,8 @@ pub enum RecordingError {
     },
     /// A column of labels that names no gesture.
     #[error(
-        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole numbers, of          which 0 is rest",
+        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole \
+         numbers, of which 0 is rest",
         .file.display()
     )]
     NoLabels {
@@ -105,8 +106,9 @@ pub enum RecordingError {
     },
     /// Rates between which no resampler is made.
     #[error(
-        "cannot resample from {from_hz} Hz to {to_hz} Hz: both must be above 0, and neither more than 100000 times the \
-         other; check the rate of the recording"
+        "cannot resample from {} Hz to {to_hz} Hz: both must be above 0, and neither more than 100000 times the other; check the \
+         rate of the recording",
+        Rate(*.from_hz)
     )]
     Resampling {
         /// Rate of the recording.
@@ -152,6 +154,9 @@ pub enum RecordingError {
     /// A description of a recording that cannot be read.
     #[error(transparent)]
     Recorded(#[from] RecorderError),
+    /// Samples whose unit cannot be converted.
+    #[error(transparent)]
+    Unit(#[from] UnitError),
     /// Settings from which no filter or window can be made.
     #[error(transparent)]
     Design(#[from] DesignError),

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_signal::{UnitError, canonical_unit, unit_factor};
 
 use crate::column_labels;
 use crate::error::RecordingError;
@@ -12,7 +13,7 @@ use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
 use crate::signals::{Signals, is_signals};
-use crate::table::{self, Channel, ColumnKind, Row, Table, TableError, TimingRemark};
+use crate::table::{self, Channel, Column, ColumnKind, Row, Table, TableError, TimingRemark};
 use crate::three_dc;
 
 /// Most frames to read at once: enough to make the overhead negligible, few enough to stay in the fastest cache.
@@ -80,8 +81,9 @@ struct Missing {
 /// Where the samples are.
 #[derive(Debug)]
 enum Samples {
-    /// In a text file, the one of the current segment, with the unit that it states.
-    Table { table: Table, text: Text, unit: String },
+    /// In a text file, the one of the current segment, with its unit, and what each chosen column is multiplied by to have
+    /// it; none if they all have it.
+    Table { table: Table, text: Text, unit: String, factors: Vec<f32> },
     /// In memory: the chosen channels, all of the same length.
     Columns(Columns),
 }
@@ -175,7 +177,7 @@ impl RecordingSource {
             let (text, _) = Text::open(&segments[0].file)?;
             let table = Table::open(text.bytes(), &settings.channels);
             let table = table.map_err(RecordingError::table(&segments[0].file))?;
-            let samples = Samples::Table { table, text, unit: String::new() };
+            let samples = Samples::Table { table, text, unit: String::new(), factors: Vec::new() };
             RecordingSource::of(samples, settings.channels.len(), segments, Vec::new(), sample_rate_hz)
         } else {
             let recorded_hz = RecordedSession::beside(path)?.map(|session| session.sample_rate_hz);
@@ -221,6 +223,7 @@ impl RecordingSource {
         let mut table = Table::open(text.bytes(), channels).map_err(RecordingError::table(file))?;
         let mut own_hz = None;
         let mut unit = String::new();
+        let mut factors = Vec::new();
         // Of a recording that Tendon made, all columns are channels.
         if label_column.is_some() || !is_recorded(file) {
             let columns = table::columns(text.bytes()).map_err(RecordingError::table(file))?;
@@ -232,9 +235,10 @@ impl RecordingSource {
                 let (name, kind) = (table.name(*column), columns[*column].kind);
                 Notice::NoMuscle { file: file.clone(), column: name, kind }
             }));
-            let units = chosen.iter().map(|column| &columns[*column].unit);
-            let common = units.clone().next().filter(|first| units.clone().all(|unit| unit == *first));
-            unit = common.cloned().unwrap_or_default();
+            (unit, factors) = common_unit(&columns, &chosen);
+            if !factors.is_empty() {
+                notices.push(Notice::UnitsDiffer { file: file.clone(), unit: unit.clone() });
+            }
             let is_undivided = matches!(&segments[..], [Segment { repetition: None, end_sample: None, .. }]);
             if let Some(column) = labels.or(table::truth(&columns)).filter(|_| is_undivided) {
                 let name = table.name(column);
@@ -265,7 +269,7 @@ impl RecordingSource {
             }
         }
         let sample_rate_hz = sample_rate(file, own_hz, given_hz)?;
-        let samples = Samples::Table { table, text, unit };
+        let samples = Samples::Table { table, text, unit, factors };
         Ok(RecordingSource::of(samples, channels.len(), segments, notices, sample_rate_hz))
     }
 
@@ -379,6 +383,28 @@ impl RecordingSource {
         }
     }
 
+    /// Brings samples that are in the unit `from` to the unit `to`.
+    ///
+    /// # Errors
+    /// When one of them is no known unit of voltage.
+    pub fn convert(&mut self, from: &str, to: &str) -> Result<(), UnitError> {
+        let factor = unit_factor(from, to)? as f32;
+        match &mut self.samples {
+            Samples::Table { unit, factors, .. } => {
+                to.clone_into(unit);
+                if factors.is_empty() && factor != 1.0 {
+                    *factors = vec![1.0; self.channels];
+                }
+                factors.iter_mut().for_each(|own| *own *= factor);
+            }
+            Samples::Columns(Columns { samples, unit, .. }) => {
+                to.clone_into(unit);
+                samples.iter_mut().flatten().for_each(|sample| *sample *= factor);
+            }
+        }
+        Ok(())
+    }
+
     /// The chosen columns of the current file, in the order of a frame: by name where it gives one, else by number from 0.
     pub fn chosen(&self) -> Vec<String> {
         match &self.samples {
@@ -457,8 +483,8 @@ impl RecordingSource {
     /// Reads up to `wanted` rows of the file into `frames`, up to the first one before which samples are missing.
     fn read_rows(&mut self, frames: &mut [f32], wanted: usize) -> Rows {
         let mut rows = Rows { lines: 0, samples: 0, samples_lost_before: 0, problem: None };
-        let (table, text) = match &mut self.samples {
-            Samples::Table { table, text, .. } => (table, text),
+        let (table, text, factors) = match &mut self.samples {
+            Samples::Table { table, text, factors, .. } => (table, text, factors),
             Samples::Columns(Columns { samples: columns, .. }) => {
                 let position = self.position as usize;
                 let left = columns.first().map_or(0, |column| column.len() - position);
@@ -480,6 +506,7 @@ impl RecordingSource {
         while let Some(values) = frame.as_mut().filter(|_| rows.lines < wanted) {
             match table.next_row(text.bytes(), values) {
                 Ok(Row::Samples) => {
+                    values.iter_mut().zip(&*factors).for_each(|(value, factor)| *value *= factor);
                     if rows.samples == 0 {
                         rows.samples_lost_before = std::mem::take(&mut self.lost_samples);
                         missing.lines += std::mem::take(&mut missing.lines_since);
@@ -552,6 +579,38 @@ impl RecordingSource {
         self.segment += 1;
         self.lost_samples += self.segments[self.segment].samples_lost_before;
     }
+}
+
+/// The unit of chosen columns, and what each is multiplied by to have it: if they state different ones, that of the first.
+/// Nothing if they have it already, and no unit if they do not all have one that is known.
+fn common_unit(columns: &[Column], chosen: &[usize]) -> (String, Vec<f32>) {
+    let units = || chosen.iter().map(|column| columns[*column].unit.as_str());
+    let first = units().find(|unit| !unit.is_empty()).unwrap_or_default();
+    let is_first = |unit: &str| canonical_unit(unit) == canonical_unit(first);
+    if units().all(is_first) {
+        return (first.to_owned(), Vec::new());
+    }
+    if units().all(|unit| unit.is_empty() || is_first(unit)) {
+        return (String::new(), Vec::new());
+    }
+    // A column without a unit is taken to have that of the first.
+    let factor = |unit: &str| if unit.is_empty() { Ok(1.0) } else { unit_factor(unit, first) };
+    let factors: Result<Vec<f64>, UnitError> = units().map(factor).collect();
+    factors.map_or_else(
+        |_| (String::new(), Vec::new()),
+        |factors| (first.to_owned(), factors.into_iter().map(|factor| factor as f32).collect()),
+    )
+}
+
+/// The unit in which [`RecordingSource::of_table`] gives `channels` of the table at `path`; empty if it states none for them.
+///
+/// # Errors
+/// When it cannot be opened, is no table, or lacks a channel.
+pub fn unit_of_table(path: &Path, channels: &[Channel]) -> Result<String, RecordingError> {
+    let (text, _) = Text::open(path)?;
+    let table = Table::open(text.bytes(), channels).map_err(RecordingError::table(path))?;
+    let columns = table::columns(text.bytes()).map_err(RecordingError::table(path))?;
+    Ok(common_unit(&columns, &table.chosen_columns()).0)
 }
 
 /// The channels of the table at `path` that are muscles, as far as can be told; of a recording that Tendon made, all. The column

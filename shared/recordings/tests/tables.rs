@@ -241,7 +241,7 @@ fn heads_of_opensignals_acqknowledge_labchart_and_noraxon_are_read() {
     let pandas =
         "time,0,1,2,3\n".replace("time", "") + &rows(500, |row| format!("{row},{}", samples(row, 4, ",")));
     let (_folder, path) = file("emg.csv", &pandas);
-    assert_eq!(first_muscles(&path, 4).unwrap(), [1, 2, 3, 4].map(Channel::Index));
+    assert_eq!(first_muscles(&path, 4, None).unwrap(), [1, 2, 3, 4].map(Channel::Index));
     let settings = RecordingSettings {
         channels: vec![Channel::Index(1)],
         sample_rate_hz: Some(1000.0),
@@ -270,6 +270,56 @@ fn rates_that_cannot_be_taken_are_named_where_nothing_else_tells() {
         "Sampling rate: 2 Hz\nEMG_a,EMG_b,EMG_c,EMG_d\n".to_owned() + &rows(100, |row| samples(row, 4, ","));
     let refused = read_unasked(&text).unwrap_err().to_string();
     assert!(refused.contains("states 2 Hz") && refused.contains("give sample_rate_hz"), "{refused}");
+}
+
+#[test]
+fn what_holds_no_number_is_said_with_what_stands_there() {
+    let comments = "# a word\n".repeat(1100) + &rows(50, |row| samples(row, 4, ","));
+    for (text, place, words) in [
+        ("a,b,c,d\n".to_owned() + &"NaN,NaN,NaN,NaN\n".repeat(50), "line 51", "`NaN,NaN"),
+        ("a,b,c,d\n".to_owned() + &"0x10,0x20,0x03,0x04\n".repeat(50), "line 51", "`0x10,0x20"),
+        (comments, "line 1001", "`# a word`"),
+    ] {
+        let refused = read_unasked(&text).unwrap_err().to_string();
+        assert!(refused.contains(place) && refused.contains(words), "{refused}");
+    }
+}
+
+#[test]
+fn names_in_latin_1_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("emg.csv");
+    let text = "f\u{fc}r (\u{b5}V);b;c;d\n".to_owned() + &rows(50, |row| samples(row, 4, ";"));
+    std::fs::write(&path, text.chars().map(|character| character as u8).collect::<Vec<u8>>()).unwrap();
+    let channels = first_muscles(&path, 1, None).unwrap();
+    let settings =
+        RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
+    let summary = check(&path, &settings).unwrap();
+    assert_eq!((summary.channels, summary.unit.as_str()), (vec!["f\u{fc}r (\u{b5}V)".to_owned()], "\u{b5}V"));
+}
+
+#[test]
+fn columns_of_different_units_are_brought_to_that_of_the_first() {
+    let text = "a (mV),b (uV),c [V],d (mV)\n".to_owned()
+        + &rows(50, |row| {
+            let value = emg(row, 0);
+            format!("{value},{},{},{value}", value * 1e3, value * 1e-3)
+        });
+    let (_folder, path) = file("emg.csv", &text);
+    let channels = first_muscles(&path, 4, None).unwrap();
+    let settings =
+        RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
+    let summary = check(&path, &settings).unwrap();
+    assert_eq!(summary.unit, "mV");
+    assert!(summary.notices[0].to_string().contains("all are converted to mV"), "{}", summary.notices[0]);
+    let mut stream = ReplayStream::open(&path, &settings, 1000.0, 10).unwrap();
+    let mut block = [0.0; 40];
+    stream.next_block(&mut block).unwrap().unwrap();
+    // Channel by channel.
+    for (at, sample) in block.iter().enumerate() {
+        let expected = emg(at % 10, 0);
+        assert!((f64::from(*sample) - expected).abs() < 1e-4, "{at}: {sample}, {expected}");
+    }
 }
 
 #[test]

@@ -9,7 +9,9 @@
 //! A line belongs to the table if it has a number, and the line after it has as many cells, with numbers and words in the
 //! same places. A missing sample fits anywhere.
 
-use super::cells::{Cells, Line, Separator, is_missing_sample, line_at, number, text_start, without_quotes};
+use super::cells::{
+    Cells, Line, Separator, excerpt, is_missing_sample, line_at, number, text_of, text_start, without_quotes,
+};
 use super::problem::{TableError, TableProblem, error_at};
 
 /// Longest beginning in which the first line of samples has to end, in bytes. What has no newline for so long is no table,
@@ -116,7 +118,13 @@ impl Head {
     pub(super) fn find(text: &[u8]) -> Result<Head, TableError> {
         let lines = head_lines(text)?;
         let Some(first) = first_of_table(&lines) else {
-            return Err(error_at(lines.last().map_or(1, |last| last.lines + 2), 1, TableProblem::Empty));
+            return Err(match &lines[..] {
+                // Names, and perhaps units.
+                [] | [_] | [_, _] => {
+                    error_at(lines.last().map_or(1, |last| last.lines + 2), 1, TableProblem::Empty)
+                }
+                [.., last] => error_at(last.lines + 1, 1, TableProblem::NoNumbers(excerpt(last.content))),
+            });
         };
         let begins_with_counts = lines.get(first + 1).is_some_and(|next| lines[first].counts_columns(next));
         let (mut before, mut table) = lines.split_at(first);
@@ -138,8 +146,7 @@ impl Head {
             position: first.start,
             lines: first.lines,
         };
-        let listed =
-            before.iter().find_map(|line| listed_columns(&String::from_utf8_lossy(line.content), columns));
+        let listed = before.iter().find_map(|line| listed_columns(&text_of(line.content), columns));
         let before = match listed {
             Some(names) => {
                 head.names = names;
@@ -186,7 +193,7 @@ impl Head {
 
     /// The cells of a line before the table, one for each column; `None` if it has more or fewer, or no word.
     fn cells_of_columns(&self, line: &HeadLine<'_>, table: &[HeadLine<'_>]) -> Option<Vec<String>> {
-        let text = String::from_utf8_lossy(line.content);
+        let text = text_of(line.content);
         let text = text.trim_matches(' ');
         let unmarked = text.trim_start_matches(['#', '%']);
         let has_word = |cells: &Vec<String>| {
@@ -241,7 +248,7 @@ impl Head {
         let has_comma = self.separator != Separator::Byte(b',');
         let mut of_all: (Vec<f64>, Vec<String>) = (Vec::new(), Vec::new());
         for line in before {
-            let text = String::from_utf8_lossy(line.content);
+            let text = text_of(line.content);
             let (rate_hz, unit) = (stated_rate(&text, has_comma), stated_unit(&text));
             let label = labelled(&text);
             match label.and_then(|label| self.names.iter().position(|name| name.eq_ignore_ascii_case(label)))
@@ -420,7 +427,7 @@ pub(super) fn in_brackets(name: &str) -> Option<&str> {
 }
 
 /// Units of what sensors measure, in lower case.
-const UNITS: [&str; 36] = [
+const UNITS: [&str; 37] = [
     "v",
     "mv",
     "uv",
@@ -456,6 +463,7 @@ const UNITS: [&str; 36] = [
     "nm",
     "°c",
     "counts",
+    "adc_counts",
     "a.u.",
 ];
 
