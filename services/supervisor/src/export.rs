@@ -1,5 +1,7 @@
 //! `tendon export`: a recorded session in the formats of others.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -132,15 +134,20 @@ fn tell_what_is_missing(survey: &Survey) {
     }
 }
 
-/// A file for this user alone. One that is there already is refused without `force`, and if it is no export.
+/// A file for this user alone. One that is there already is refused without `force`, and with it unless it is an export.
 fn check_file(path: &Path, force: bool) -> Result<OutputFile, Failure> {
     let file = OutputFile::check(path).map_err(Failure::input)?.private();
-    let path = path.to_owned();
-    if file.replaces() && !force {
-        return Err(Failure::input(ExportError::Exists { path }));
+    if !file.replaces() {
+        return Ok(file);
     }
-    if file.replaces() && !is_exported_xdf(&path) {
-        return Err(Failure::input(ExportError::Foreign { path }));
+    if !force {
+        return Err(Failure::input(ExportError::Exists { path: path.to_owned() }));
+    }
+    let mut beginning = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(512).read_to_end(&mut beginning));
+    read.with_context(|| format!("cannot read {}", path.display())).map_err(Failure::input)?;
+    if !is_exported_xdf(&beginning) {
+        return Err(Failure::input(ExportError::NoExport { path: path.to_owned() }));
     }
     Ok(file)
 }

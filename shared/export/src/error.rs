@@ -52,12 +52,6 @@ pub enum ExportError {
         /// The folder.
         path: PathBuf,
     },
-    /// Something that is no export is there.
-    #[error("{} holds something else than an export: choose another name", path.display())]
-    Foreign {
-        /// The folder or file.
-        path: PathBuf,
-    },
     /// Another export writes there now.
     #[error("something else is exported into {} right now: wait until it is done, or name another folder", path.display())]
     Busy {
@@ -71,6 +65,12 @@ pub enum ExportError {
     #[error("{} is there already: add --force to replace it", path.display())]
     Exists {
         /// The recording.
+        path: PathBuf,
+    },
+    /// What is to be replaced was written by something else.
+    #[error("{} is something else than an export: move it away, or name another place", path.display())]
+    NoExport {
+        /// The file or folder.
         path: PathBuf,
     },
     /// A value that BDF cannot hold.

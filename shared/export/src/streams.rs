@@ -10,9 +10,7 @@
 //!
 //! Time stamps are CLOCK_MONOTONIC in s: that of the first sample, and from there on the axis of [`crate::Timeline`].
 
-use std::fs::File;
-use std::io::{self, Read, Write};
-use std::path::Path;
+use std::io::{self, Write};
 
 use tendon_messages::{COMMAND_CHANNELS, TWIST_LENGTH};
 use tendon_session_file::{Block, CommandRecord, Message, Number, PredictionRecord, Reader};
@@ -20,9 +18,6 @@ use tendon_session_file::{Block, CommandRecord, Message, Number, PredictionRecor
 use crate::chronicle::{Chronicle, Happening};
 use crate::xdf::{StreamId, Values, XdfChannel, XdfStream, XdfWriter};
 use crate::{ExportError, Survey};
-
-/// Bytes in which the headers of the file and of its first stream begin.
-const HEAD: u64 = 4096;
 
 /// Writes the session of `survey` as XDF. `has_read` is told how many bytes of the recording were read so far, and may
 /// end the export.
@@ -57,14 +52,6 @@ pub fn write_xdf(
         has_read(reader.bytes_read()).map_err(io::Error::other)?;
     }
     streams.file.finish()
-}
-
-/// Whether the file is one that [`write_xdf`] wrote. `false` also for what cannot be read.
-pub fn is_exported_xdf(path: &Path) -> bool {
-    let mut bytes = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut bytes));
-    let text = String::from_utf8_lossy(&bytes);
-    read.is_ok() && text.starts_with("XDF:") && text.contains("<person>") && text.contains("<name>Tendon ")
 }
 
 struct Streams<'a> {

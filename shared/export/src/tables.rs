@@ -16,8 +16,11 @@ mod columns;
 mod facts;
 mod rows;
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
+use serde_json::Value;
 use tendon_session_file::{Message, Reader};
 
 use crate::staging::Staging;
@@ -46,23 +49,61 @@ const ZONES: &str = "zones.csv";
 const SESSION: &str = "session.json";
 const COLUMNS: &str = "columns.json";
 const CONFIGURATION: &str = "tendon.toml";
+/// More than any line of names or description of columns, bytes.
+const LARGEST_HEAD: u64 = 4 << 20;
+
+/// Refuses a folder whose files no export wrote, by their names and columns: other people's must not be replaced.
+///
+/// # Errors
+///
+/// [`ExportError::NoExport`] with the file that is none of an export, or the folder if one is missing.
+pub(crate) fn check_replaceable(folder: &Path) -> Result<(), ExportError> {
+    let columns: Value = head(&folder.join(COLUMNS))
+        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+        .ok_or_else(|| ExportError::NoExport { path: folder.to_owned() })?;
+    for file in TABLES {
+        let path = folder.join(file);
+        let has_columns = |table: &str| {
+            let bytes = head(&path).unwrap_or_default();
+            let mut rows = csv::Reader::from_reader(&bytes[..]);
+            let described =
+                columns[table].as_array().into_iter().flatten().map(|column| column["name"].as_str());
+            rows.headers().is_ok_and(|names| names.iter().map(Some).eq(described))
+        };
+        let is_missing = std::fs::symlink_metadata(&path).is_err();
+        if is_missing && file != ZONES {
+            return Err(ExportError::NoExport { path: folder.to_owned() });
+        }
+        let is_own = path.is_file() && file.strip_suffix(".csv").is_none_or(has_columns);
+        if !(is_missing || is_own) {
+            return Err(ExportError::NoExport { path });
+        }
+    }
+    Ok(())
+}
+
+/// The beginning of a file; `None` where there is none to be read.
+fn head(path: &Path) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let is_file = path.is_file();
+    let file = is_file.then(|| File::open(path).ok()).flatten()?;
+    file.take(LARGEST_HEAD).read_to_end(&mut bytes).ok()?;
+    Some(bytes)
+}
 
 /// Refuses a folder with anything in it, or, with `replace`, with anything but an earlier export.
 ///
 /// # Errors
 ///
-/// [`ExportError::NotEmpty`], [`ExportError::Foreign`], and [`ExportError::Write`] where it cannot be looked at.
+/// [`ExportError::NotEmpty`], [`ExportError::NoExport`], and [`ExportError::Write`] where it cannot be looked at.
 pub fn check_tables(folder: &Path, replace: bool) -> Result<(), ExportError> {
     if !Staging::is_occupied(folder)? {
         return Ok(());
     }
-    let path = folder.to_owned();
     if !replace {
-        return Err(ExportError::NotEmpty { path });
+        return Err(ExportError::NotEmpty { path: folder.to_owned() });
     }
-    // Such as a folder with the settings of somebody, which have the name of those of an export.
-    let is_export = TABLES.iter().filter(|table| **table != ZONES).all(|table| folder.join(table).is_file());
-    if is_export { Ok(()) } else { Err(ExportError::Foreign { path }) }
+    check_replaceable(folder)
 }
 
 /// Writes the session of `survey` as tables to `folder`; with `replace` in place of an earlier export. `has_read` is told how
