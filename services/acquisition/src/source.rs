@@ -40,7 +40,7 @@ pub fn open(config: &Config) -> anyhow::Result<Opened> {
         Delivery::Lossless => Pace::Full,
     };
     let samples = settings.block_samples;
-    let mut signal = None;
+    let signal;
     let (source, description): (Box<dyn Source>, String) = match settings.source {
         SourceKind::Simulate => {
             let (person, description, measured) = SimulatedPerson::open(config)?;
