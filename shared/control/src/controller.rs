@@ -456,8 +456,7 @@ impl Controller {
                 self.latch.break_row();
             }
         }
-        if self.settings.stale_ns.is_some_and(|stale_ns| now_ns.saturating_sub(trace.captured_ns) > stale_ns)
-        {
+        if self.settings.stale_ns.is_some_and(|stale_ns| trace.is_stale(stale_ns, now_ns)) {
             self.latch.break_row();
             return Taken::Stale;
         }
