@@ -1,13 +1,17 @@
 //! The story of a stranger, with nobody there: badly recognised, calibrated by cues, well recognised. And what goes wrong on
 //! the way.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may do what tests may")]
 
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 
 use nix::sys::signal::{Signal, kill};
+use serde_json::{Value, json};
 use tendon_emg_simulation::Profile;
 use tendon_gesture::Gesture;
+use tendon_process::{Answer, ask_session, session_status};
 use tendon_report::Report;
-use tendon_system_tests::{Ended, TendonBuilder, model, unique_session, wait_until};
+use tendon_system_tests::{Ended, Tendon, TendonBuilder, model, unique_session, wait_until};
 
 /// All gestures, with rest between.
 const SCRIPT: &str = "rest 2s, extension 1500ms, rest 1s, flexion 1500ms, rest 1s, ulnar 1500ms, rest 1s, radial 1500ms, \
@@ -34,10 +38,11 @@ fn run(people: &Path, recogniser: &[&str]) -> Report {
         .report()
 }
 
-/// The only recording of the person.
+/// The only recording of the person, besides check rounds.
 fn recording(people: &Path) -> Option<PathBuf> {
     let folder = people.join("tendon/people/anna/recordings");
-    std::fs::read_dir(folder).ok()?.next()?.ok().map(|entry| entry.path())
+    let mut recordings = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
+    recordings.find(|recording| !recording.to_string_lossy().ends_with("-check"))
 }
 
 fn labels(people: &Path) -> String {
@@ -146,6 +151,95 @@ fn a_new_calibration_may_have_other_gestures_and_a_redo_adds_to_what_the_person_
     assert!(redone.output.contains("anna: 3 gestures"), "{redone:#?}");
     let labels = std::fs::read_to_string(broken_off_folder.join("labels.csv")).unwrap();
     assert!(!labels.contains("emg-2.csv"), "the redo was recorded elsewhere: {labels}");
+}
+
+/// What the page is told of a calibration, and what it asks of it.
+struct Page<'a>(&'a Tendon);
+
+impl Page<'_> {
+    /// The newest status of the calibration; `None` while nobody tells one.
+    fn status(&self) -> Option<Value> {
+        let told = session_status(self.0.session()).ok()?;
+        let desk: Value = serde_json::from_str(&told).unwrap();
+        Some(desk["desk"]["calibration"].clone()).filter(Value::is_object)
+    }
+
+    fn wait_for(&self, what: &str, is_it: impl Fn(&Value) -> bool) -> Value {
+        wait_until(what, || self.status().filter(&is_it))
+    }
+
+    fn wait_for_phase(&self, phase: &str) -> Value {
+        self.wait_for(phase, |status| status["phase"] == phase)
+    }
+
+    fn ask(&self, request: Value) -> Answer {
+        ask_session(self.0.session(), &serde_json::from_value(request).unwrap()).unwrap()
+    }
+
+    fn say(&self, what: &str) {
+        let answer = self.ask(json!({ "calibration": what }));
+        assert!(answer.ok, "{what}: {answer:?}");
+    }
+
+    /// What a browser is told under this name.
+    fn tells_browsers(&self, name: &str) -> Value {
+        let errors = wait_until("the page's address", || {
+            let errors = self.0.errors_so_far();
+            errors.contains("page, to watch only: ").then_some(errors)
+        });
+        let link = errors.lines().find_map(|line| line.strip_prefix("page: http://")).unwrap();
+        let (address, token) = link.split_once("/#").unwrap();
+        let stream = TcpStream::connect(address).unwrap();
+        let address = format!("ws://{address}/ws?token={token}");
+        let (mut socket, _) = tungstenite::client(address, stream).unwrap();
+        wait_until(name, || {
+            let message = socket.read().unwrap();
+            let said: Value = serde_json::from_str(message.to_text().ok()?).ok()?;
+            said.get(name).cloned()
+        })
+    }
+}
+
+#[test]
+fn a_stranger_is_calibrated_from_the_page_alone() {
+    let people = tempfile::tempdir().unwrap();
+    let short =
+        ["--gestures", "extension,grip", "--rest", "2s", "--hold", "1500ms", "--pause", "1s", "--check"];
+    let tendon =
+        calibrate(people.path(), "stranger-19", &["--page", "--page-port", "0"]).args(&short).start();
+    let page = Page(&tendon);
+    // It waits for somebody, though there is no terminal.
+    page.wait_for("somebody to be asked for", |status| status["may"] == json!(["go-on", "stop"]));
+    let hello = page.tells_browsers("hello");
+    assert_eq!((&hello["kind"], &hello["arm"]), (&json!("calibration"), &Value::Null), "{hello}");
+    assert_eq!(page.tells_browsers("state")["permission"], "none");
+    let early = page.ask(json!({"next": {"session": {}}}));
+    assert!(!early.ok && early.text.contains("stop it first"), "{early:?}");
+    page.say("go-on");
+    let hold =
+        page.wait_for("a gesture", |status| status["ask"] == "hold" && status["gesture"] == "extension");
+    assert!(hold["asked_effort_share"].as_f64().unwrap() > 0.2, "{hold}");
+    // Once more, after it is done.
+    page.wait_for("the next gesture", |status| status["ask"] == "relax" && status["gesture"] == "grip");
+    assert!(!page.ask(json!({"calibration": "go-on"})).ok);
+    page.say("redo");
+    page.wait_for("the same gesture", |status| status["ask"] == "hold" && status["gesture"] == "extension");
+    page.wait_for("the check round to be begun", |status| {
+        status["phase"] == "check" && status["may"][0] == "go-on"
+    });
+    page.say("go-on");
+    let done = page.wait_for_phase("done");
+    let report = &done["report"];
+    assert!(report["expected_accuracy"].as_f64().unwrap() > 0.5, "{report}");
+    assert_eq!(report["confusion"]["gestures"], json!(["rest", "extension", "grip"]), "{report}");
+    assert_eq!(report["channels"].as_array().unwrap().len(), 4, "{report}");
+    assert!(report["check"]["after"].as_f64().unwrap() > 0.8, "{report}");
+    assert_eq!(done["may"], json!([]), "{done}");
+    tendon.signal(Signal::SIGTERM);
+    let ended = tendon.end();
+    assert_done(&ended);
+    assert!(ended.output.contains("now: tendon run --person anna"), "{ended:#?}");
+    assert_eq!(labels(people.path()).matches("extension").count(), 1, "{}", labels(people.path()));
 }
 
 #[test]

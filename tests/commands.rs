@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may unwrap, as tests may")]
 
 use nix::sys::signal::Signal;
-use tendon_system_tests::recordings::{MOVEMENT, Stretch, real_three_dc, write_table, write_three_dc};
+use tendon_system_tests::recordings::{MOVEMENT, REST, Stretch, real_three_dc, write_table, write_three_dc};
 use tendon_system_tests::{TendonBuilder, model, program, repository, unique_session};
 
 #[test]
@@ -401,6 +401,40 @@ fn recordings_of_your_own_are_of_nobody_whom_the_models_were_trained_on() {
     let ended = evaluate.arg("--model").arg(model("cnn-six-class")).end();
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
     assert!(ended.output.contains("on people 1\n"), "{ended:#?}");
+}
+
+#[test]
+fn a_column_of_labels_serves_every_command_that_reads_recordings() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("anna")).unwrap();
+    let table = folder.path().join("anna/monday.csv");
+    let (rest, grip) = (Stretch { samples: 4000, amplitudes: REST }, [200.0, 900.0, 100.0, 600.0]);
+    let grip = Stretch { samples: 4000, amplitudes: grip };
+    write_table(&table, &[rest, grip, rest, grip]);
+    let samples = std::fs::read_to_string(&table).unwrap();
+    let lines = samples.lines().enumerate();
+    let lines = lines.map(|(row, line)| format!("{line},{}\n", ["rest", "grip"][row / 4000 % 2]));
+    std::fs::write(&table, "a,b,c,d,done\n".to_owned() + &lines.collect::<String>()).unwrap();
+    let (path, out) = (table.to_str().unwrap(), folder.path().join("out"));
+    let (out, model) = (out.to_str().unwrap(), model("cnn-six-class"));
+    for (command, said) in [
+        (vec!["dataset", "build", path, "--out", out], "1 person, 4 recordings"),
+        (vec!["evaluate", path, "--model", model.to_str().unwrap()], "on people anna"),
+        (vec!["strategies", path, "--strategy", "direct"], "strategy direct"),
+        (vec!["calibrate", "anna", "--from", path], "anna: 2 gestures on channels a, b, c, d"),
+        (vec!["profile", "fit", path, "--out", "me.toml"], "profile of 4 channels"),
+        (
+            vec!["profile", "fit", folder.path().to_str().unwrap(), "--out", "me.toml"],
+            "profile of 4 channels",
+        ),
+    ] {
+        let options = ["--label-column", "done", "--recording-rate-hz", "1000"];
+        let arguments = [&command[..], &options].concat();
+        let builder = TendonBuilder::command(&unique_session(), &arguments);
+        let ended = builder.env("XDG_DATA_HOME", folder.path()).end();
+        assert_eq!(ended.exit_code, Some(0), "{command:?}: {ended:#?}");
+        assert!(ended.output.contains(said), "{command:?}: {ended:#?}");
+    }
 }
 
 #[test]

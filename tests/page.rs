@@ -67,6 +67,10 @@ impl Page {
     }
 }
 
+/// Extension moves up in the one mode and away from the base in the other.
+const TWO_MODES: &str = r#"decision.modes=[{name = "z", extension = "+z", flexion = "-z", grip = "next_mode"},
+    {name = "x", extension = "+x", flexion = "-x", grip = "next_mode"}]"#;
+
 struct Viewer(WebSocket<TcpStream>);
 
 impl Viewer {
@@ -172,6 +176,7 @@ fn the_page_records_notes_and_makes_gestures_as_far_as_its_viewer_may() {
     let data = tempfile::tempdir().unwrap();
     let mut tendon = TendonBuilder::run_with_model(&unique_session(), &model("cnn-six-class"))
         .args(&["--page", "--page-port", "0", "--keyboard", "--task", "zones", "--strategy", "direct"])
+        .args(&["--set", TWO_MODES])
         .env("XDG_DATA_HOME", data.path())
         .start();
     tendon.wait_until_running();
@@ -196,10 +201,13 @@ fn the_page_records_notes_and_makes_gestures_as_far_as_its_viewer_may() {
     viewer.next("state", |state| state["gesture"] == "extension");
     viewer.next("desk", |desk| desk["task"]["zone"]["width_mm"].is_number());
     viewer.next("state", |state| state["zone"]["center_mm"].is_array());
+    assert_eq!(viewer.ask(&json!({"mode": "x"}))["ok"], true);
+    viewer.next("state", |state| state["mode"] == 1);
     for (refused, why) in [
         (json!({"gesture": {"gesture": "fist"}}), "no gesture of this session"),
         (json!({"gesture": {"gesture": "rest", "effort": 7.0}}), "from 0 to 1"),
-        (json!({"mode": "nowhere"}), "mode"),
+        (json!({"mode": "nowhere"}), "has z, x"),
+        (json!({"next": {"session": {"strategy": "threshold"}}}), "--json"),
         (json!({"calibration": "go-on"}), "no calibration"),
     ] {
         let answer = viewer.ask(&refused);
@@ -214,6 +222,47 @@ fn the_page_records_notes_and_makes_gestures_as_far_as_its_viewer_may() {
     tendon.signal(Signal::SIGTERM);
     let ended = tendon.end();
     assert_eq!(ended.report().recordings.len(), 1, "{ended:?}");
+}
+
+#[test]
+fn the_next_session_has_what_was_asked_for_and_the_same_page() {
+    let data = tempfile::tempdir().unwrap();
+    let session = unique_session();
+    let name = session.to_string();
+    let run =
+        ["run", "--session", &name, "--page", "--page-port", "0", "--no-browser", "--strategy", "direct"];
+    let tendon = TendonBuilder::command(&session, &run).env("XDG_DATA_HOME", data.path()).start();
+    let page = Page::of(&tendon);
+    let mut viewer = page.request(&page.orders, &[]).unwrap();
+    viewer.next("desk", |desk| desk["can"]["next"] == true);
+    let next = |viewer: &mut Viewer, session: Value| viewer.ask(&json!({"next": {"session": session}}));
+    for (refused, why) in [
+        (json!({"person": "../x"}), "a-z 0-9"),
+        (json!({"person": "nobody"}), "nobody"),
+        (json!({"strategy": "magic"}), "magic"),
+        (json!({"strategy": "personal"}), "person"),
+        (json!({"task": "--json=x"}), "--json"),
+    ] {
+        let answer = next(&mut viewer, refused);
+        assert!(answer["ok"] == false && answer["text"].as_str().unwrap().contains(why), "{answer}");
+    }
+    assert_eq!(viewer.next("desk", |_| true)["strategy"], "direct");
+    let answer = next(&mut viewer, json!({"strategy": "threshold", "task": "zones"}));
+    assert_eq!(answer["ok"], true, "{answer}");
+    assert!(viewer.is_left());
+    // The next session has the same page: address and tokens stay.
+    let mut again = wait_until("the page of the next session", || {
+        TcpStream::connect(page.address).ok().and_then(|_| page.request(&page.orders, &[]).ok())
+    });
+    let hello = again.next("hello", |_| true);
+    assert_eq!((&hello["strategy"], &hello["task"]), (&json!("threshold"), &json!(true)));
+    assert_eq!(hello["rights"], "orders");
+    again.next("state", |state| state["permission"].is_string());
+    assert!(page.request(&page.watch, &[]).is_ok());
+    tendon.signal(Signal::SIGTERM);
+    let ended = tendon.end();
+    assert_eq!(ended.exit_code, Some(0), "{ended:?}");
+    assert_eq!(ended.errors.matches("page: http").count(), 2, "{ended:?}");
 }
 
 /// 200 requests that no page of ours sends.

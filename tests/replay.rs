@@ -159,7 +159,7 @@ fn offline(path: &Path, strategy: Strategy) -> HashMap<u64, (Vec<f32>, Vec<f32>)
     let recording = RecordingSettings {
         channels: (0..4).map(Channel::Index).collect(),
         sample_rate_hz: None,
-        repetition: None,
+        ..RecordingSettings::default()
     };
     let mut stream = ReplayStream::open(path, &recording, 2000.0, config.acquisition.block_samples).unwrap();
     let fetched = repository().join(".cache/onnxruntime/libonnxruntime.so");

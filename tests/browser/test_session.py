@@ -7,6 +7,7 @@
 import json
 import os
 import pathlib
+import socket
 import unittest
 
 from browser import Browser, find_program
@@ -102,21 +103,27 @@ class RealSessions(unittest.TestCase):
         self.assertIn(b"loose e", recordings[0].read_bytes())
         self.assertEqual(tendon.end(), 0)
 
-    def test_one_viewer_is_suspended_and_another_sees_the_session_go_on(self):
+    def test_a_viewer_that_reads_nothing_holds_up_neither_another_nor_the_session(self):
         tendon = self.run_session("--keyboard", "--page", "--page-port", "0")
-        first, second = self.open(tendon.line("page: ")), self.open(tendon.line("page, to watch only: "))
-        for page in (first, second):
-            page.call("Page.bringToFront")
-            page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
-        second.call("Page.setWebLifecycleState", state="frozen")
-        first.call("Page.bringToFront")
-        first.type("f")
-        first.wait_for(f"{TITLE}.startsWith('Following · flexion')", LIMIT_S)
-        first.press_space()
-        first.wait_for(f"{STOP} === 'STOPPED'", LIMIT_S)
-        second.call("Page.setWebLifecycleState", state="active")
-        second.call("Page.bringToFront")
-        second.wait_for(f"{TITLE} === 'The arm is stopped'", LIMIT_S)
+        address = tendon.line("page: ")
+        host, token = address.removeprefix("http://").split("/#")
+        with socket.socket() as deaf:
+            deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            deaf.connect((host.split(":")[0], int(host.split(":")[1])))
+            deaf.sendall(f"GET /ws?token={token} HTTP/1.1\r\nHost: {host}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+                         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode())
+            self.assertTrue(deaf.recv(12).startswith(b"HTTP/1.1 101"))
+            first, second = self.open(address), self.open(tendon.line("page, to watch only: "))
+            first.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
+            first.type("f")
+            for page in (first, second):
+                page.call("Page.bringToFront")
+                page.wait_for(f"{TITLE}.startsWith('Following · flexion')", LIMIT_S)
+            first.press_space()
+            for page in (first, second):
+                page.call("Page.bringToFront")
+                page.wait_for(f"{TITLE} === 'The arm is stopped'", LIMIT_S)
+            self.assertIn("Restarts: 0.", first.text("#latency-facts"))
         self.assertEqual(tendon.end(), 0)
         self.assertFalse(any("goes on without" in line for line in tendon.lines), tendon.lines)
 

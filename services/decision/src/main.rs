@@ -9,7 +9,7 @@ use tendon_messages::{
     Activity, COMMANDS, CommandHeader, Measured, PREDICTIONS, PredictionHeader, ReplayMark, Stage,
     TWIST_LENGTH, TwistFrame,
 };
-use tendon_process::{Consumer, StageProcess};
+use tendon_process::{Consumer, Order, StageProcess};
 use tendon_transport::{Publisher, Received, Subscriber};
 
 fn main() -> ExitCode {
@@ -27,6 +27,7 @@ fn main() -> ExitCode {
             )?,
             increment_samples: config.dsp.windows.increment_samples as u64,
             last_first_sample: None,
+            ordered_mode: 0,
             gripper_toggles: 0,
         };
         let predictions = Subscriber::open(&process.session, &PREDICTIONS, Some(Stage::Decision), delivery)?;
@@ -42,12 +43,20 @@ struct Decision {
     increment_samples: u64,
     /// Index of the last window's first sample.
     last_first_sample: Option<u64>,
+    /// The place, from 1, of the mode to take with the next window; 0 to keep the one that is on.
+    ordered_mode: u8,
     /// Since this process began.
     gripper_toggles: u32,
 }
 
 impl Consumer<PredictionHeader, f32> for Decision {
     type Error = anyhow::Error;
+
+    fn obey(&mut self, order: Order) {
+        if let Order::Mode(place) = order {
+            self.ordered_mode = place.saturating_add(1);
+        }
+    }
 
     fn take(
         &mut self,
@@ -83,6 +92,11 @@ impl Consumer<PredictionHeader, f32> for Decision {
             self.decider.restart();
             return Ok(process.measure(&trace, None));
         }
+        let repeated = Some(context.ordered_mode).filter(|ordered| *ordered != 0);
+        let ordered_mode = repeated.unwrap_or_else(|| std::mem::take(&mut self.ordered_mode));
+        if let Some(mode) = ordered_mode.checked_sub(1) {
+            self.decider.take_mode(mode.into());
+        }
         let outcome = self.decider.decide(&Evidence {
             probabilities,
             efforts,
@@ -109,6 +123,7 @@ impl Consumer<PredictionHeader, f32> for Decision {
             },
             mode: outcome.mode as u8,
             is_unsure: outcome.is_unsure.into(),
+            ordered_mode,
         };
         let published_ns = self.commands.publish(header, TWIST_LENGTH, |twist| {
             for (component, velocity) in twist.iter_mut().zip(outcome.twist) {

@@ -197,6 +197,7 @@ impl Output {
             calibration_left_ms: (duration_ns(chain.calibration_left_samples()) / 1_000_000) as u32,
             activity: activity.number(),
             replay_marks,
+            ordered_mode: self.marks.as_ref().map_or(0, |marks| marks.ordered_mode(first_sample)),
         };
         let window_header = WindowHeader {
             trace,

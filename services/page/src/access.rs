@@ -12,6 +12,7 @@ use std::net::{IpAddr, SocketAddr};
 use axum::http::StatusCode;
 use base64::Engine;
 use base64::prelude::BASE64_URL_SAFE_NO_PAD;
+use tendon_process::PageKeys;
 
 /// What somebody with a token may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,15 +90,20 @@ impl Access {
         Ok(Access { address, orders, watch: new_token()? })
     }
 
-    /// Where to open the page, with orders and without.
-    pub fn links(&self) -> (Option<String>, String) {
+    /// The tokens of the page before, for the one at `address` that takes its place. Nobody gets more rights by that.
+    pub fn again(address: SocketAddr, is_watch_only: bool, before: PageKeys) -> Access {
+        let orders = before.orders.filter(|_| !is_watch_only);
+        Access { address, orders, watch: before.watch }
+    }
+
+    /// Where to open the page, and its tokens.
+    pub fn keys(&self) -> PageKeys {
         let mut address = self.address;
         if address.ip().is_unspecified() {
             let loopback = if address.is_ipv4() { "127.0.0.1" } else { "::1" };
             address.set_ip(loopback.parse().expect("a loopback address"));
         }
-        let link = |token: &String| format!("http://{address}/#{token}");
-        (self.orders.as_ref().map(link), link(&self.watch))
+        PageKeys { address, orders: self.orders.clone(), watch: self.watch.clone() }
     }
 
     /// Whether `host` is this page: so no name that somebody else lets point to this machine is.
@@ -212,7 +218,17 @@ mod tests {
         };
         assert_eq!(from("192.168.1.5"), Ok(Rights::Orders));
         assert_eq!(from("192.168.1.77"), Ok(Rights::Watch));
-        let (orders, _) = access("127.0.0.1:8423", true).links();
-        assert_eq!(orders, None);
+        let watch_only = access("127.0.0.1:8423", true).keys();
+        assert_eq!(watch_only.links().0, None);
+        assert_eq!(watch_only.links().1, format!("http://127.0.0.1:8423/#{}", watch_only.watch));
+    }
+
+    #[test]
+    fn the_next_page_has_the_same_tokens_and_the_address_of_any_is_that_of_this_machine() {
+        let address: SocketAddr = "0.0.0.0:8423".parse().unwrap();
+        let keys = Access::new(address, false).unwrap().keys();
+        assert_eq!(keys.address, "127.0.0.1:8423".parse().unwrap());
+        assert_eq!(Access::again(address, false, keys.clone()).keys(), keys);
+        assert_eq!(Access::again(address, true, keys.clone()).keys(), PageKeys { orders: None, ..keys });
     }
 }

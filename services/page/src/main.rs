@@ -11,6 +11,7 @@
 #![forbid(unsafe_code)]
 
 mod access;
+mod browser;
 mod desk;
 mod files;
 mod orders;
@@ -20,6 +21,7 @@ mod traces;
 mod view;
 mod watching;
 
+use std::io::Write;
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -31,9 +33,11 @@ use anyhow::Context;
 use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tendon_config::Config;
+use tendon_process::{PAGE_VARIABLE, PageKeys};
 use tendon_transport::SessionName;
 
 use crate::access::Access;
+use crate::browser::Signpost;
 use crate::files::Files;
 use crate::orders::Orders;
 use crate::requests::Requests;
@@ -62,6 +66,9 @@ struct Arguments {
     /// Give nobody the right to orders.
     #[arg(long)]
     watch_only: bool,
+    /// Open the page in this machine's browser.
+    #[arg(long)]
+    browser: bool,
 }
 
 fn main() -> ExitCode {
@@ -86,8 +93,11 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let listener = listen(SocketAddr::new(arguments.address, arguments.port))?;
     let address = listener.local_addr().context("cannot tell the page's address")?;
-    let access = Access::new(address, arguments.watch_only).context("no random numbers for a token")?;
-    let (orders_link, watch_link) = access.links();
+    let access = match page_before()? {
+        Some(before) => Access::again(address, arguments.watch_only, before),
+        None => Access::new(address, arguments.watch_only).context("no random numbers for a token")?,
+    };
+    let keys = access.keys();
     let audience = Arc::new(Audience::new());
     let session = watched.name().clone();
     let (orders, requests) = (Orders::new(session.clone()), Requests::new(session.clone()));
@@ -105,10 +115,8 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
         // Whoever waits for it is there until it comes.
         let _ = ended.send(watching::watch(&watched, &audience, &stop));
     })?;
-    if let Some(link) = orders_link {
-        eprintln!("page: {link}");
-    }
-    eprintln!("page, to watch only: {watch_link}");
+    say(&keys, arguments.config.is_some())?;
+    let _signpost = arguments.browser.then(|| open_browser(&keys)).flatten();
     let result = runtime.block_on(async {
         tokio::select! {
             served = server::serve(listener, page) => served.context("cannot serve"),
@@ -117,6 +125,33 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
     });
     runtime.shutdown_timeout(END_TIMEOUT);
     result
+}
+
+/// The address and tokens of the page whose place this one takes.
+fn page_before() -> anyhow::Result<Option<PageKeys>> {
+    let Ok(text) = std::env::var(PAGE_VARIABLE) else { return Ok(None) };
+    serde_json::from_str(&text).with_context(|| format!("{PAGE_VARIABLE} is set to no page: unset it"))
+}
+
+/// Says where the page is: to the session that started it, or to the person who did.
+fn say(keys: &PageKeys, to_session: bool) -> anyhow::Result<()> {
+    if to_session {
+        let line = serde_json::to_string(keys).context("cannot say where the page is")?;
+        return writeln!(std::io::stdout(), "{line}").context("cannot say where the page is");
+    }
+    let (orders, watch) = keys.links();
+    if let Some(link) = orders {
+        eprintln!("page: {link}");
+    }
+    eprintln!("page, to watch only: {watch}");
+    Ok(())
+}
+
+/// Opens the page in the browser, if that can be.
+fn open_browser(keys: &PageKeys) -> Option<Signpost> {
+    let (orders, watch) = keys.links();
+    let opened = browser::open(&orders.unwrap_or(watch));
+    opened.inspect_err(|error| eprintln!("tendon-page: {error:#}")).ok()
 }
 
 fn start(name: &str, thread: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {

@@ -25,6 +25,23 @@ const PAPER_MEAN_MS: u32 = 324;
 const FIRST_EDGE_NS: u64 = 1000;
 const EDGE_RATIO: f64 = 1.25;
 
+/// What a state says of the arm, besides whether it may move.
+const ARM_KEYS: [&str; 13] = [
+    "position_mm",
+    "orientation_rad",
+    "joints_rad",
+    "speed_mm_per_s",
+    "gripper",
+    "stop_reason",
+    "hindrance",
+    "phase",
+    "gesture",
+    "confidence",
+    "unsure",
+    "mode",
+    "calibration_left_ms",
+];
+
 /// A session as it is now.
 #[derive(Debug)]
 pub struct View {
@@ -98,7 +115,9 @@ impl View {
         let joints = tendon_arm::denavit_hartenberg().map(|joint| {
             json!({"a_mm": joint.a_mm, "d_mm": joint.d_mm, "alpha_rad": joint.alpha_rad, "theta_offset_rad": 0.0})
         });
+        let is_calibration = is_calibration(desk);
         json!({
+            "kind": if is_calibration { "calibration" } else { "session" },
             "session": self.config.session.to_string(),
             "version": env!("CARGO_PKG_VERSION"),
             "started_ns": joined_ns,
@@ -111,7 +130,7 @@ impl View {
             "gestures": decision.gestures.iter().map(|gesture| gesture.name().to_owned()).collect::<Vec<_>>(),
             "modes": decision.modes.iter().map(mode).collect::<Vec<_>>(),
             "workspace_mm": {"min": robot.arm.workspace_min_mm, "max": robot.arm.workspace_max_mm},
-            "arm": {"joints": joints},
+            "arm": (!is_calibration).then(|| json!({"joints": joints})),
             "speed_mm_per_s": decision.speed_mm_per_s,
             "task": !desk["task"].is_null(),
             "paper": {"median_ms": PAPER_MEDIAN_MS, "mean_ms": PAPER_MEAN_MS},
@@ -119,41 +138,23 @@ impl View {
         })
     }
 
-    /// The session now, with what the supervisor tells on its `desk`; `None` before the arm has said anything.
+    /// The session now, with what the supervisor tells on its `desk`; `None` before the arm has said anything. A calibration has
+    /// no arm.
     pub fn now(&self, now_ns: u64, traces: &Traces, desk: &Value) -> Option<Value> {
-        let (header, payload) = self.state.as_ref()?;
-        let (joints_rad, position_mm, orientation_rad) =
-            (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
-        let gesture =
-            |number: u8| self.config.decision.gestures.get(number).map(|gesture| gesture.name().to_owned());
         let command = self.command.unwrap_or_default();
         let counts = |stage| self.measurements.counts(stage);
         let troubles = traces.troubles();
         let troubles: Vec<Value> =
             troubles.into_iter().map(|(channel, kind)| json!({"channel": channel, "kind": kind})).collect();
         let elapsed_ns = self.started_ns.map_or(0, |started_ns| now_ns.saturating_sub(started_ns));
-        Some(json!({
+        let mut state = json!({
             "now_ns": now_ns,
             "captured_ns": traces.captured_ns(),
             "elapsed_s": elapsed_ns as f64 / 1e9,
-            "position_mm": position_mm,
-            "orientation_rad": orientation_rad,
-            "joints_rad": joints_rad,
-            "speed_mm_per_s": header.speed_mm_per_s,
-            "gripper": header.gripper_position,
-            "permission": kebab_case(&Permission::from_number(header.permission)),
-            "stop_reason": StopReason::from_number(header.stop_reason).map(|reason| kebab_case(&reason)),
-            "hindrance": Hindrance::from_number(header.hindrance).map(|hindrance| hindrance.to_string()),
-            "phase": kebab_case(&ArmPhase::from_number(header.arm_phase)),
-            "gesture": gesture(header.gesture),
-            "voted": gesture(command.voted),
-            "confidence": header.confidence,
-            "unsure": header.is_unsure != 0,
+            "voted": self.gesture(command.voted),
             "novelty": self.novelty,
             "probabilities": self.probabilities,
             "efforts": self.efforts,
-            "mode": header.mode,
-            "calibration_left_ms": header.calibration_left_ms,
             "zone": desk["task"]["zone"],
             "recording": desk["recording"],
             "lost_samples": counts(Stage::Acquisition).lost_samples,
@@ -162,7 +163,46 @@ impl View {
             "restarts": self.restarts,
             "clock_drift_ppm": self.measurements.clock_drift_ppm(),
             "troubles": troubles,
-        }))
+        });
+        let arm = if is_calibration(desk) { no_arm() } else { self.arm()? };
+        for (key, value) in arm {
+            state[key] = value;
+        }
+        Some(state)
+    }
+
+    /// What the arm has said last.
+    fn arm(&self) -> Option<Vec<(&'static str, Value)>> {
+        let (header, payload) = self.state.as_ref()?;
+        let (joints_rad, position_mm, orientation_rad) =
+            (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
+        Some(vec![
+            ("position_mm", json!(position_mm)),
+            ("orientation_rad", json!(orientation_rad)),
+            ("joints_rad", json!(joints_rad)),
+            ("speed_mm_per_s", json!(header.speed_mm_per_s)),
+            ("gripper", json!(header.gripper_position)),
+            ("permission", json!(kebab_case(&Permission::from_number(header.permission)))),
+            (
+                "stop_reason",
+                json!(StopReason::from_number(header.stop_reason).map(|reason| kebab_case(&reason))),
+            ),
+            (
+                "hindrance",
+                json!(Hindrance::from_number(header.hindrance).map(|hindrance| hindrance.to_string())),
+            ),
+            ("phase", json!(kebab_case(&ArmPhase::from_number(header.arm_phase)))),
+            ("gesture", json!(self.gesture(header.gesture))),
+            ("confidence", json!(header.confidence)),
+            ("unsure", json!(header.is_unsure != 0)),
+            ("mode", json!(header.mode)),
+            ("calibration_left_ms", json!(header.calibration_left_ms)),
+        ])
+    }
+
+    /// The name of a gesture of this number.
+    fn gesture(&self, number: u8) -> Option<String> {
+        self.config.decision.gestures.get(number).map(|gesture| gesture.name().to_owned())
     }
 
     /// The latencies so far.
@@ -181,6 +221,16 @@ impl View {
                 summary("newest sample → command", &self.measurements.newest_sample_to_command),
         })
     }
+}
+
+/// Whether a desk is that of a calibration.
+fn is_calibration(desk: &Value) -> bool {
+    desk["kind"] == "calibration"
+}
+
+/// What stands in a state for the arm of a calibration.
+fn no_arm() -> Vec<(&'static str, Value)> {
+    ARM_KEYS.into_iter().map(|key| (key, Value::Null)).chain([("permission", json!("none"))]).collect()
 }
 
 /// The name of a variant in lower case with hyphens: `AwaitRest` is `await-rest`.
@@ -282,6 +332,22 @@ mod tests {
         assert_eq!(state["permission"], "stopped");
         view.state(&header, &payload[..5]);
         assert_eq!(view.now(5, &traces, &desk), None);
+    }
+
+    #[test]
+    fn a_calibration_has_signals_and_no_arm() {
+        let config = Config::default();
+        let (mut view, traces) = (View::new(&config), Traces::new(&config).unwrap());
+        let desk = json!({"kind": "calibration"});
+        let hello = view.hello(7, 8.0, &desk);
+        assert_eq!((&hello["kind"], &hello["arm"]), (&json!("calibration"), &Value::Null));
+        let state = view.now(5, &traces, &desk).unwrap();
+        assert_eq!((&state["permission"], &state["now_ns"]), (&json!("none"), &json!(5)));
+        // The same keys as with an arm.
+        view.state(&StateHeader::default(), &[0.0; 13]);
+        let session = view.now(5, &traces, &json!({"kind": "session"})).unwrap();
+        let keys = |state: &Value| state.as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+        assert_eq!(keys(&state), keys(&session));
     }
 
     #[test]

@@ -15,7 +15,7 @@ const GRADES = [
   [0.7, "fair"],
   [0, "poor"],
 ];
-/** A confusion's count this large, as share of its row, is marked. */
+/** A confusion with more than this share of its row is marked. */
 const MARKED_SHARE = 0.1;
 
 const byId = (id) => document.getElementById(id);
@@ -188,12 +188,12 @@ export class Calibration {
     const box = element("div", { className: "report-orders" });
     if (this.hello.rights !== "orders") return box;
     if (phase === "done") {
-      const session = { person: name, strategy: "personal", task: null };
+      const session = { person: name, strategy: null, task: null };
       box.append(button(text("report-session", { name }), () => beginSession(this.requests, session), "begins"));
     }
     const options = phase === "done" ? { replace: true } : {};
     box.append(button(text("report-again"), () => beginCalibration(this.requests, { name, check: true, ...options })));
-    const session = { person: null, strategy: "threshold", task: null };
+    const session = { person: null, strategy: null, task: null };
     if (report === null) box.append(button(text("report-back"), () => beginSession(this.requests, session)));
     return box;
   }
@@ -252,9 +252,10 @@ export class Calibration {
     const rows = confusion.counts.map((counts, row) => {
       const all = counts.reduce((sum, count) => sum + count, 0);
       const cells = counts.map((count, column) => {
-        const cell = element("td", { words: count === 0 ? "·" : number(count) });
+        const share = all > 0 ? count / all : 0;
+        const cell = element("td", { words: share < 0.005 ? "·" : number(100 * share) });
         if (row === column) cell.className = "is-right";
-        else if (count > MARKED_SHARE * all) cell.className = "is-wrong";
+        else if (share > MARKED_SHARE) cell.className = "is-wrong";
         return cell;
       });
       return [heading(names[row]), ...cells];

@@ -302,7 +302,7 @@ impl Robot {
                 self.was_stopped = true;
                 self.controller.stage_ended();
             }
-            Order::Start | Order::Gesture { .. } => {}
+            Order::Start | Order::Gesture { .. } | Order::Mode(_) => {}
         }
         self.answer(process);
         Ok(())

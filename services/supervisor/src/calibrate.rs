@@ -4,9 +4,13 @@
 //! cues (guided) ─▶ recordings ─▶ windows of one person ─▶ Person::fit, with the prior of others ─▶ findings? ─▶ people/NAME/person.toml
 //! ```
 
+mod board;
 mod check;
 mod guided;
+mod learnt;
+mod recording;
 mod round;
+mod status;
 mod update;
 
 use std::collections::BTreeMap;
@@ -34,10 +38,12 @@ use crate::Failure;
 use crate::channels::channels_or_default;
 use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
 use crate::output::{checked_private, left_out, print};
+use crate::page;
 use crate::personal::{WINDOWS, calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
 
 use check::CheckScores;
+pub use status::CalibrationStatus;
 use update::UpdateScores;
 
 /// Command line of `tendon calibrate`.
@@ -49,7 +55,7 @@ pub struct Options {
     #[command(flatten)]
     guided: guided::GuidedOptions,
     /// Instead of recording now, take recordings with cues, in any layout that `tendon evaluate` reads.
-    #[arg(long, num_args = 1.., value_name = "PATH")]
+    #[arg(long, num_args = 1.., value_name = "PATH", conflicts_with = "page")]
     from: Vec<PathBuf>,
     /// Number or name of the person in the recordings, where they are of several people.
     #[arg(long, value_name = "P", requires = "from")]
@@ -68,6 +74,9 @@ pub struct Options {
     recording: RecordingOptions,
     #[command(flatten)]
     base: Base,
+    /// The page of the calibration.
+    #[command(flatten)]
+    page: page::RunOptions,
     /// Put the person in the place of the one who has this name.
     #[arg(long)]
     replace: bool,
@@ -195,8 +204,12 @@ fn settings_of(
 ) -> anyhow::Result<(DatasetSettings, Option<RecordedSession>)> {
     let recorded = paths.first().map_or(Ok(None), |path| RecordedSession::read(path))?;
     let mut settings = match &recorded {
-        Some(recorded) => recorded_settings(config, recorded),
-        None => calibration_settings(config, &[], options.recording.recording_rate_hz),
+        // Its labels.csv counts; a column of labels is refused.
+        Some(recorded) => DatasetSettings {
+            label_column: options.recording.label_column.clone(),
+            ..recorded_settings(config, recorded)
+        },
+        None => calibration_settings(config, &[], &options.recording),
     };
     let given = &options.recording.channels;
     if !given.is_empty() || recorded.is_none() {

@@ -3,12 +3,13 @@
 //! ```text
 //! recorded by Tendon         all of them
 //! your own recordings        the first four that look like EMG (see `tendon_recordings::muscles`), or all, if they are fewer
-//! 3DC, Ozdemir               0, 3, 5, 8
+//! 3DC                        0, 3, 5, 8
+//! Ozdemir                    0, 1, 2, 3: all that there are
 //! ```
 
 use std::path::PathBuf;
 
-use anyhow::ensure;
+use anyhow::{bail, ensure};
 use tendon_dataset::{DatasetSettings, Layout, Recording, list};
 use tendon_recordings::{Channel, RecordedSession, muscles};
 
@@ -30,15 +31,19 @@ pub fn channels_or_default(
         return named_by_recordings(given, settings, paths);
     }
     let found = list(settings, paths)?;
-    if found.layout != Layout::Labelled {
-        return Ok(of_three_dc());
+    match found.layout {
+        Layout::ThreeDc => return Ok(of_three_dc()),
+        Layout::OzdemirMat | Layout::OzdemirTrials => return Ok((0..4).map(Channel::Index).collect()),
+        Layout::Labelled => {}
     }
-    // What cannot be read is said when it is used.
+    // What cannot be read is said when it is used, unless that is true of all.
     let readable = |recording: &Recording| recording.file_channels(settings).is_ok();
     let Some(recording) = found.recordings.iter().find(|recording| readable(recording)) else {
-        return Ok(of_three_dc());
+        let first = &found.recordings[0];
+        let problem = first.file_channels(settings).err().map(|error| error.below(&first.path));
+        bail!("{}: {}", first.path.display(), problem.unwrap_or_default());
     };
-    let mut channels = muscles(&recording.path)?;
+    let mut channels = muscles(&recording.path, settings.label_column.as_ref())?;
     if RecordedSession::beside(&recording.path)?.is_none() {
         channels.truncate(DEFAULT.len());
     }
@@ -118,6 +123,9 @@ mod tests {
         }
         table(folder.path(), "flexor,time");
         assert_eq!(channels(folder.path(), &[]).unwrap(), [Channel::from("flexor")]);
+        let ozdemir = tempfile::tempdir().unwrap();
+        std::fs::write(ozdemir.path().join("P1_C0_G0.csv"), "1,2,3,4\n".repeat(100)).unwrap();
+        assert_eq!(channels(ozdemir.path(), &[]).unwrap(), [0, 1, 2, 3].map(Channel::Index));
         table(folder.path(), "time,label,battery");
         let refused = channels(folder.path(), &[]).unwrap_err();
         assert!(

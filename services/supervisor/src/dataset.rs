@@ -32,7 +32,7 @@ pub enum Command {
     /// * Ozdemir 2022: files .mat, one a person (variables data, fs, iD), or files
     ///   `P<person>_C<cycle>_G<gesture>.csv`, one a trial; 2000 Hz. Files in a folder `filtered` need --filtered.
     ///
-    /// * Your own: files .edf, .bdf or .xdf whose annotations or markers name gestures; of the person that sub-PERSON_….edf or
+    /// * Your own: files .edf, .bdf, .xdf or .xdfz whose annotations or markers name gestures; of the person that sub-PERSON_….edf or
     ///   the folder names.
     ///
     /// * Your own: tables (.csv, .tsv, .txt; one line per sample, one column per channel) and a labels.csv in the same
@@ -127,7 +127,6 @@ impl BuildOptions {
             self.base.configuration_of("tendon dataset build", &WINDOW_KEYS)?;
         let default = DatasetSettings::default();
         let settings = DatasetSettings {
-            recording_rate_hz: self.recording.recording_rate_hz,
             sample_rate_hz: self.sample_rate_hz.unwrap_or(acquisition.sample_rate_hz),
             filter: (!self.filtered).then_some(dsp.filter),
             input: self.input,
@@ -141,9 +140,9 @@ impl BuildOptions {
                 ..default.onset
             },
             fallback_ms: self.fallback_ms,
-            rest_start_ms: default.rest_start_ms,
-            channels: default.channels,
+            ..default
         };
+        let settings = self.recording.settings(settings);
         let channels = channels_or_default(&self.recording.channels, &settings, &self.recordings)?;
         Ok(DatasetSettings { channels, ..settings })
     }

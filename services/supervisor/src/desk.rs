@@ -6,17 +6,24 @@
 //! ```
 
 use std::path::PathBuf;
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::{Receiver, Sender, channel};
 
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::json;
 use tendon_config::{Config, Gestures, Source};
 use tendon_gesture::{GestureSet, Strategy};
 use tendon_messages::Stage;
 use tendon_people::{People, PersonName};
-use tendon_process::{Answer, Asked, GestureRequest, Order, Request, RequestError, RequestSocket};
+use tendon_process::{
+    Answer, Asked, GestureRequest, Next, Order, PageKeys, Request, RequestError, RequestSocket,
+};
 use tendon_session::{Event, Watch};
+use tendon_session_file::is_session_file;
 use tendon_zones::{TaskRun, TaskStatus};
+
+use crate::calibrate::CalibrationStatus;
+use crate::next::{self, Handover};
+use crate::options::Options;
 
 /// The most names of people that are told: more fit into no message.
 const MOST_PEOPLE: usize = 500;
@@ -41,7 +48,7 @@ pub struct Desk {
     /// The task of the session, if it has one.
     pub task: Option<TaskStatus>,
     /// How the calibration stands, if it is one.
-    pub calibration: Option<Value>,
+    pub calibration: Option<CalibrationStatus>,
 }
 
 /// What can be asked for.
@@ -64,7 +71,6 @@ pub enum DeskKind {
     /// A session of all stages.
     Session,
     /// A guided calibration.
-    #[expect(dead_code, reason = "a calibration has no desk yet")]
     Calibration,
 }
 
@@ -72,20 +78,27 @@ impl Desk {
     /// Of what has this configuration; nothing can be asked for.
     pub fn new(kind: DeskKind, config: &Config) -> Desk {
         let person = config.inference.person.as_deref().filter(|_| is_personal(config));
-        let mut people = People::open().and_then(|people| people.names()).unwrap_or_default();
-        people.truncate(MOST_PEOPLE);
-        let strategies = Strategy::ALL.into_iter().chain((!people.is_empty()).then_some(Strategy::Personal));
-        Desk {
+        let mut desk = Desk {
             can: Can::default(),
             kind,
             recording: None,
             person: person.and_then(person_of),
             strategy: config.decision.strategy.name(),
-            strategies: strategies.map(Strategy::name).collect(),
-            people,
+            strategies: Vec::new(),
+            people: Vec::new(),
             task: None,
             calibration: None,
-        }
+        };
+        desk.look_for_people();
+        desk
+    }
+
+    /// Tells who has been calibrated by now.
+    pub fn look_for_people(&mut self) {
+        self.people = People::open().and_then(|people| people.names()).unwrap_or_default();
+        self.people.truncate(MOST_PEOPLE);
+        let personal = (!self.people.is_empty()).then_some(Strategy::Personal);
+        self.strategies = Strategy::ALL.into_iter().chain(personal).map(Strategy::name).collect();
     }
 
     /// As the page reads it.
@@ -110,7 +123,28 @@ fn person_of(file: &std::path::Path) -> Option<String> {
 pub struct SessionDesk {
     desk: Desk,
     gestures: GestureSet,
+    /// Names of the modes.
+    modes: Vec<String>,
+    /// Whether the modes are those of a session that is replayed.
+    repeats_modes: bool,
     socket: RequestSocket,
+    /// The session's command line.
+    run: Vec<String>,
+    strategy: Strategy,
+    /// Why nothing can follow on the session, if nothing can.
+    why_not_next: Option<String>,
+    /// What was found to be in order in threads that check it.
+    checked: Receiver<Checked>,
+    checking: Sender<Checked>,
+    /// The command line that follows on the session.
+    next: Option<Vec<String>>,
+}
+
+/// What may follow on the session, and who asked for it.
+#[derive(Debug)]
+struct Checked {
+    asked: Asked,
+    command_line: Vec<String>,
 }
 
 impl SessionDesk {
@@ -121,30 +155,70 @@ impl SessionDesk {
     /// [`RequestError`] when the socket cannot be had.
     pub fn open(
         config: &Config,
+        options: &Options,
         has_simulated_user: bool,
         events: &Sender<Event>,
     ) -> Result<SessionDesk, RequestError> {
+        let own = next::own_command_line();
+        let unreadable = own.as_ref().err().map(ToString::to_string);
+        let why_not_next = next::why_not(options, config).map(str::to_owned).or(unreadable);
         let acquisition = &config.acquisition;
         let follows_keys = acquisition.source == Source::Simulate
             && acquisition.simulate.gestures == Gestures::Keyboard
             && !has_simulated_user;
+        let modes: Vec<String> = config.decision.modes.iter().map(|mode| mode.name.clone()).collect();
+        let repeats_modes = acquisition
+            .replay
+            .path
+            .as_deref()
+            .filter(|_| acquisition.source == Source::Replay)
+            .is_some_and(is_session_file);
         let mut desk = Desk::new(DeskKind::Session, config);
         let starting = desk.text();
-        desk.can = Can { record: true, gestures: follows_keys, mode: false, next: false };
+        desk.can = Can {
+            record: true,
+            gestures: follows_keys,
+            mode: modes.len() > 1 && !repeats_modes,
+            next: why_not_next.is_none(),
+        };
         let events = events.clone();
         let on_request = move |asked: Asked| {
             // Once nobody listens any more the request is dropped, which says so.
             let _ = events.send(Event::Request(asked));
         };
         let socket = RequestSocket::listen(&config.session, starting, on_request)?;
-        Ok(SessionDesk { desk, gestures: config.decision.gestures.clone(), socket })
+        let (checking, checked) = channel();
+        Ok(SessionDesk {
+            desk,
+            gestures: config.decision.gestures.clone(),
+            modes,
+            repeats_modes,
+            socket,
+            run: own.unwrap_or_default(),
+            strategy: config.decision.strategy,
+            why_not_next,
+            checked,
+            checking,
+            next: None,
+        })
     }
 
     /// Answers what has been asked, and shows how the session stands now.
     pub fn turn(&mut self, watch: &mut Watch<'_>, task: Option<&TaskRun>) {
         while let Some(asked) = watch.take_request() {
-            let answer = self.answer(&asked.request, watch);
-            asked.answer(&answer);
+            match asked.request.clone() {
+                Request::Next(next) => self.check(asked, next),
+                request => {
+                    let answer = self.answer(&request, watch);
+                    asked.answer(&answer);
+                }
+            }
+        }
+        while let Ok(Checked { asked, command_line }) = self.checked.try_recv() {
+            if self.next.is_none() {
+                self.next = Some(command_line);
+                asked.answer(&Answer::done("this session ends, and what was asked for begins"));
+            }
         }
         self.desk.recording = watch.recording().map(PathBuf::from);
         self.desk.task = task.map(TaskRun::status);
@@ -155,11 +229,49 @@ impl SessionDesk {
         match request {
             Request::Record(is_wanted) => watch.record(*is_wanted),
             Request::Gesture(gesture) => self.make(*gesture, watch),
-            Request::Mode(_) => Answer::refused("this session takes its modes from gestures only"),
-            Request::Next(_) => Answer::refused("this session cannot go over to another: end it with q"),
+            Request::Mode(name) => self.take_mode(name, watch),
             Request::Calibration(_) => Answer::refused("this is a session, and no calibration"),
-            Request::Status => unreachable!("the socket answers it itself"),
+            Request::Next(_) | Request::Status => unreachable!("they are seen to before"),
         }
+    }
+
+    /// Checks what is to follow, in a thread: it reads files, and the arm must not wait for that.
+    fn check(&self, asked: Asked, next: Next) {
+        if let Some(why_not) = &self.why_not_next {
+            return asked.answer(&Answer::refused(why_not.clone()));
+        }
+        let (run, strategy, checking) = (self.run.clone(), self.strategy, self.checking.clone());
+        let check = move || match next::command_line_after(&run, strategy, &next) {
+            // Nobody listens any more once the session is over; the request says so itself.
+            Ok(command_line) => drop(checking.send(Checked { asked, command_line })),
+            Err(error) => asked.answer(&Answer::refused(format!("{error:#}"))),
+        };
+        // Without the thread the request is dropped, and refused by that.
+        let _ = std::thread::Builder::new().name("check next".to_owned()).spawn(check);
+    }
+
+    /// The command line of what follows, if somebody has asked for it.
+    pub fn take_next(&mut self) -> Option<Vec<String>> {
+        self.next.take()
+    }
+
+    /// What this session hands on, where there is a page.
+    pub fn handover(&self, page: Option<&PageKeys>) -> Option<Handover> {
+        page.map(|page| Handover { page: page.clone(), run: self.run.clone() })
+    }
+
+    /// Lets decision take the mode of this name.
+    fn take_mode(&self, name: &str, watch: &mut Watch<'_>) -> Answer {
+        if self.repeats_modes {
+            return Answer::refused("this session replays another one, and repeats its modes");
+        }
+        let place = self.modes.iter().position(|mode| mode == name);
+        let Some(place) = place.and_then(|place| u8::try_from(place).ok()) else {
+            let text = format!("there is no mode `{name}`: this session has {}", self.modes.join(", "));
+            return Answer::refused(text);
+        };
+        watch.order(Stage::Decision, Order::Mode(place));
+        Answer::done(name)
     }
 
     /// Lets the simulated person make a gesture.
@@ -187,6 +299,8 @@ impl SessionDesk {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::Value;
+
     use super::*;
 
     #[test]

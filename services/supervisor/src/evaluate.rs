@@ -10,7 +10,7 @@ use clap::Args;
 use serde::Serialize;
 use tendon_classifier::{Classifier, TrainedOn};
 use tendon_dataset::{DatasetSettings, StoredDataset};
-use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings};
+use tendon_evaluation::{ScoreError, Scores, score_dataset, score_recordings, settings_of};
 use tendon_figures::write_score_figures;
 use tendon_identity::PersonId;
 use tendon_output::{OutputFile, OutputFolder, check_distinct, collect};
@@ -126,8 +126,11 @@ pub fn evaluate(options: &Options) -> Result<(), Failure> {
             channels = channels_of(options, model, paths).map_err(Failure::input)?;
             check(&channels, "the recordings give").map_err(Failure::input)?;
             let mut progress = |done, total| works.show(done, total, "recordings", String::new);
-            let rate_hz = options.recording.recording_rate_hz;
-            score_recordings(classifier, paths, &channels, rate_hz, &options.people, &mut progress)
+            let settings = options.recording.settings(DatasetSettings {
+                channels: channels.clone(),
+                ..settings_of(classifier.contract())
+            });
+            score_recordings(classifier, paths, &settings, &options.people, &mut progress)
         }
     };
     works.clear();
@@ -157,7 +160,7 @@ fn model(options: &Options) -> anyhow::Result<&Path> {
 
 /// The channels of the data set. Refuses options that would make others of its windows.
 fn check_data_set(options: &Options, folder: &Path) -> anyhow::Result<Vec<Channel>> {
-    let RecordingOptions { channels: named, recording_rate_hz, unit } = &options.recording;
+    let RecordingOptions { channels: named, recording_rate_hz, label_column, unit } = &options.recording;
     let dataset = StoredDataset::open(folder)?;
     let own = dataset.manifest().settings.channels.clone();
     ensure!(
@@ -165,9 +168,11 @@ fn check_data_set(options: &Options, folder: &Path) -> anyhow::Result<Vec<Channe
         "--channels is for recordings, but {} is a data set of other channels: leave --channels out",
         folder.display()
     );
-    for (option, is_given) in
-        [("--recording-rate-hz", recording_rate_hz.is_some()), ("--unit", unit.is_some())]
-    {
+    for (option, is_given) in [
+        ("--recording-rate-hz", recording_rate_hz.is_some()),
+        ("--label-column", label_column.is_some()),
+        ("--unit", unit.is_some()),
+    ] {
         let folder = folder.display();
         ensure!(!is_given, "{option} is for recordings, but {folder} is a data set: leave {option} out");
     }
@@ -176,10 +181,9 @@ fn check_data_set(options: &Options, folder: &Path) -> anyhow::Result<Vec<Channe
 
 /// The channels of the recordings that the model is given: those it was trained on, unless others are asked for.
 fn channels_of(options: &Options, model: &Path, paths: &[PathBuf]) -> anyhow::Result<Vec<Channel>> {
-    let RecordingOptions { channels, recording_rate_hz, .. } = &options.recording;
+    let channels = &options.recording.channels;
     let given = if channels.is_empty() { model_channels::remembered([model]) } else { channels.clone() };
-    let settings = DatasetSettings { recording_rate_hz: *recording_rate_hz, ..DatasetSettings::default() };
-    channels_or_default(&given, &settings, paths)
+    channels_or_default(&given, &options.recording.settings(DatasetSettings::default()), paths)
 }
 
 /// Says that a model was trained on samples of another unit.

@@ -20,6 +20,7 @@ mod experiments;
 mod export;
 mod latency;
 mod model_channels;
+mod next;
 mod note;
 mod options;
 mod order;
@@ -129,9 +130,14 @@ impl Failure {
     }
 }
 
+/// Goes on with what somebody has asked for at the page of a session that has ended; if nobody has, all is done.
+fn go_on(following: Option<next::Following>) -> Result<(), Failure> {
+    following.map_or(Ok(()), |following| Err(following.start()))
+}
+
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
-        Command::Run(options) => run::run(&options),
+        Command::Run(options) => run::run(&options).and_then(go_on),
         Command::Latency(options) => latency::show(&options),
         Command::Stop(options) => order::give(&options, Order::Stop),
         Command::Arm(options) => order::give(&options, Order::Arm),

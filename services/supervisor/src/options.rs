@@ -14,6 +14,7 @@ use nix::unistd::User;
 use tempfile::TempDir;
 use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{AcquisitionSettings, Config, Gestures, Pace, Realtime, Source};
+use tendon_dataset::DatasetSettings;
 use tendon_gesture::Strategy;
 use tendon_people::Person;
 use tendon_recordings::Channel;
@@ -105,12 +106,16 @@ impl Base {
 pub struct RecordingOptions {
     /// Channels of the recordings in this order, by number from 0 or by the name that the recordings give them [default: those
     /// that the model or person names; else all of what Tendon recorded, of your own recordings the first that look like EMG, of
-    /// 3DC 0,3,5,8].
+    /// 3DC 0,3,5,8, of Ozdemir 2022 0,1,2,3].
     #[arg(long, value_name = "C,…", value_delimiter = ',', value_parser = named_channel)]
     pub channels: Vec<Channel>,
     /// Sampling rate of recordings that do not state it, Hz.
     #[arg(long, value_name = "HZ", alias = "replay-rate-hz")]
     pub recording_rate_hz: Option<f64>,
+    /// Column of tables that says what was done, by name or by number from 0; each run of a label is a trial [default: labels.csv;
+    /// to replay, a column of a name such as gesture or label].
+    #[arg(long, value_name = "COLUMN", value_parser = named_channel)]
+    pub label_column: Option<Channel>,
     /// Unit of recordings that do not state it: V, mV, uV, nV or adc_counts.
     #[arg(long, value_name = "UNIT", value_parser = unit)]
     pub unit: Option<String>,
@@ -122,9 +127,16 @@ impl RecordingOptions {
         let given = [
             ("--channels", !self.channels.is_empty()),
             ("--recording-rate-hz", self.recording_rate_hz.is_some()),
+            ("--label-column", self.label_column.is_some()),
             ("--unit", self.unit.is_some()),
         ];
         given.into_iter().find_map(|(option, is_given)| is_given.then_some(option))
+    }
+
+    /// `settings` for recordings that are read as these options say; but for the channels.
+    pub fn settings(&self, settings: DatasetSettings) -> DatasetSettings {
+        let RecordingOptions { recording_rate_hz, label_column, .. } = self.clone();
+        DatasetSettings { recording_rate_hz, label_column, ..settings }
     }
 
     /// The unit of recordings that state `own`, in its canonical spelling; empty if nobody knows.
@@ -336,7 +348,7 @@ impl Options {
                 "{option} is for recordings: name one with --replay PATH, or leave {option} out"
             );
         }
-        let RecordingOptions { channels, recording_rate_hz, unit } = &self.recording;
+        let RecordingOptions { channels, recording_rate_hz, label_column, unit } = &self.recording;
         if !channels.is_empty() {
             acquisition.replay.channels = Some(channels.clone());
             if acquisition.channels == AcquisitionSettings::default().channels
@@ -347,6 +359,9 @@ impl Options {
         }
         if recording_rate_hz.is_some() {
             acquisition.replay.sample_rate_hz = *recording_rate_hz;
+        }
+        if label_column.is_some() {
+            acquisition.replay.label_column = label_column.clone();
         }
         if unit.is_some() {
             acquisition.unit = unit.clone();

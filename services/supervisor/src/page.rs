@@ -1,12 +1,16 @@
 //! The page of a session in a browser: `tendon run --page`, and `tendon page` beside a session that runs.
 
+use std::io::IsTerminal;
 use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::process::CommandExt;
 use std::process::Command;
+use std::sync::{Arc, OnceLock};
 
 use anyhow::Context;
 use clap::Args;
-use tendon_session::become_owner;
+use tendon_config::Config;
+use tendon_process::{PAGE_VARIABLE, PageKeys};
+use tendon_session::{ChildrenError, Companion, Writer, become_owner};
 
 use crate::Failure;
 use crate::options::RunningSession;
@@ -31,13 +35,73 @@ pub struct RunOptions {
     /// Let nobody give orders on the page.
     #[arg(long, requires = "page")]
     page_watch_only: bool,
+    /// Do not open the page in the browser.
+    #[arg(long, requires = "page")]
+    no_browser: bool,
 }
 
 impl RunOptions {
-    /// For the page's program.
-    pub fn arguments(&self) -> Vec<String> {
-        arguments(self.page_port, self.page_address, self.page_watch_only)
+    /// Whether somebody at the page can give orders.
+    pub fn takes_orders(&self) -> bool {
+        self.page && !self.page_watch_only
     }
+}
+
+/// The page beside a session of this process.
+#[derive(Debug)]
+pub struct Page {
+    companion: Companion,
+    /// Empty before it listens.
+    keys: Arc<OnceLock<PageKeys>>,
+}
+
+impl Page {
+    /// Starts the page, in place of the one `before` if there was one.
+    ///
+    /// # Errors
+    ///
+    /// [`ChildrenError`] when its program cannot be started.
+    pub fn start(
+        options: &RunOptions,
+        config: &Config,
+        before: Option<&PageKeys>,
+        standard_error: &Writer,
+    ) -> Result<Page, ChildrenError> {
+        let port = before.map_or(options.page_port, |before| before.address.port());
+        let opens_browser = before.is_none() && !options.no_browser && has_screen();
+        let arguments = arguments(port, options.page_address, options.page_watch_only, opens_browser);
+        // It is made of texts.
+        let before = before.and_then(|before| serde_json::to_string(before).ok());
+        let (keys, errors) = (Arc::new(OnceLock::new()), standard_error.clone());
+        let heard = keys.clone();
+        let on_said = move |line: &str| {
+            let Ok(keys) = serde_json::from_str::<PageKeys>(line) else { return };
+            let (orders, watch) = keys.links();
+            orders.into_iter().for_each(|link| errors.say(format!("page: {link}")));
+            errors.say(format!("page, to watch only: {watch}"));
+            // It says so once.
+            let _ = heard.set(keys);
+        };
+        let before = before.as_deref();
+        let companion = Companion::start(PROGRAM, config, &arguments, before, on_said, standard_error)?;
+        Ok(Page { companion, keys })
+    }
+
+    /// Says once that it has ended, if it has. Does not wait.
+    pub fn look(&mut self) {
+        self.companion.look();
+    }
+
+    /// Where it is, once it listens.
+    pub fn keys(&self) -> Option<&PageKeys> {
+        self.keys.get()
+    }
+}
+
+/// Whether somebody sits at a screen on which a browser can open.
+fn has_screen() -> bool {
+    let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+    std::io::stdout().is_terminal() && (is_set("DISPLAY") || is_set("WAYLAND_DISPLAY"))
 }
 
 /// Command line of `tendon page`.
@@ -54,6 +118,9 @@ pub struct Options {
     /// Let nobody give orders on the page.
     #[arg(long)]
     page_watch_only: bool,
+    /// Do not open the page in the browser.
+    #[arg(long)]
+    no_browser: bool,
 }
 
 /// Goes on as the program that serves the page.
@@ -64,15 +131,18 @@ pub fn serve(options: &Options) -> Result<(), Failure> {
     }
     let own =
         std::env::current_exe().context("cannot find this program's folder").map_err(Failure::running)?;
+    let opens_browser = !options.no_browser && has_screen();
     let error = Command::new(own.with_file_name(PROGRAM))
+        .env_remove(PAGE_VARIABLE)
         .args(["--session", session.name.to_string().as_str()])
-        .args(arguments(options.page_port, options.page_address, options.page_watch_only))
+        .args(arguments(options.page_port, options.page_address, options.page_watch_only, opens_browser))
         .exec();
     Err(Failure::running(anyhow::Error::new(error).context(format!("cannot start {PROGRAM}"))))
 }
 
-fn arguments(port: u16, address: IpAddr, is_watch_only: bool) -> Vec<String> {
+fn arguments(port: u16, address: IpAddr, is_watch_only: bool, opens_browser: bool) -> Vec<String> {
     let mut arguments = vec![format!("--port={port}"), format!("--address={address}")];
     arguments.extend(is_watch_only.then(|| "--watch-only".to_owned()));
+    arguments.extend(opens_browser.then(|| "--browser".to_owned()));
     arguments
 }

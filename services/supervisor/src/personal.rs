@@ -14,7 +14,7 @@ use tendon_recordings::{Channel, RecordedSession};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings, canonical_unit};
 
 use crate::model_channels;
-use crate::options::Base;
+use crate::options::{Base, RecordingOptions};
 
 /// Keys of the windows.
 pub const WINDOWS: &str = "dsp.windows";
@@ -38,12 +38,11 @@ const LARGEST_PRIOR: u64 = 256 << 20;
 pub fn dataset_settings(
     config: &Config,
     channels: &[Channel],
-    recording_rate_hz: Option<f64>,
+    recording: &RecordingOptions,
 ) -> DatasetSettings {
-    let default = DatasetSettings::default();
+    let default = recording.settings(DatasetSettings::default());
     DatasetSettings {
         channels: channels.to_vec(),
-        recording_rate_hz,
         sample_rate_hz: config.acquisition.sample_rate_hz,
         filter: Some(config.dsp.filter.clone()),
         windows: config.dsp.windows.clone(),
@@ -59,17 +58,18 @@ pub fn dataset_settings(
 pub fn calibration_settings(
     config: &Config,
     channels: &[Channel],
-    recording_rate_hz: Option<f64>,
+    recording: &RecordingOptions,
 ) -> DatasetSettings {
     let onset = DatasetSettings::default().onset;
-    DatasetSettings { onset, ..dataset_settings(config, channels, recording_rate_hz) }
+    DatasetSettings { onset, ..dataset_settings(config, channels, recording) }
 }
 
 /// The same for what `tendon calibrate` recorded: all of its channels; a trial of a gesture begins half a second before its
 /// cue, and a rest is rest throughout.
 pub fn recorded_settings(config: &Config, recorded: &RecordedSession) -> DatasetSettings {
-    let settings = calibration_settings(config, &[], Some(recorded.sample_rate_hz));
+    let settings = calibration_settings(config, &[], &RecordingOptions::default());
     DatasetSettings {
+        recording_rate_hz: Some(recorded.sample_rate_hz),
         channels: recorded.channels.iter().cloned().map(Channel::Name).collect(),
         onset: OnsetSettings { search_ms: RECORDED_ONSET_MS, ..settings.onset.clone() },
         fallback_ms: RECORDED_FALLBACK_MS,

@@ -39,7 +39,7 @@ pub fn gather(options: &Options) -> Result<(), Failure> {
     check_distinct(&out, [], inputs).map_err(Failure::input)?;
     let config = options.base.configuration_of("tendon prior", &WINDOW_KEYS).map_err(Failure::input)?;
     let config = personal_windows(config, options.base.sets(WINDOWS));
-    let settings = dataset_settings(&config, &[], options.recording.recording_rate_hz);
+    let settings = dataset_settings(&config, &[], &options.recording);
     let channels = channels_or_default(&options.recording.channels, &settings, &options.recordings);
     let settings = DatasetSettings { channels: channels.map_err(Failure::input)?, ..settings };
     let mut works = Works::default();

@@ -1,16 +1,19 @@
 //! `tendon profile fit`: a profile of the simulated amplifier from real recordings.
 
-use std::path::PathBuf;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use clap::{Args, Subcommand};
+use tendon_dataset::{DatasetSettings, list};
 use tendon_emg_simulation::{FitSettings, Profile, Segment, fit as fit_profile};
 use tendon_gesture::Gesture;
+use tendon_identity::{PersonId, list_of};
 use tendon_output::{check_distinct, collect};
-use tendon_recordings::{RecordingSettings, RecordingSource, three_dc};
+use tendon_recordings::{Frame, RecordingSettings, RecordingSource, three_dc};
 
 use crate::Failure;
-use crate::channels::of_three_dc;
+use crate::channels::{channels_or_default, of_three_dc};
 use crate::options::RecordingOptions;
 use crate::output::{checked, print, tell};
 
@@ -24,7 +27,7 @@ pub enum Command {
 /// Command line of `tendon profile fit`.
 #[derive(Debug, Args)]
 pub struct FitOptions {
-    /// Recordings with cues: folders of the 3DC layout (…/ParticipantP/train/EMG), or single files from one.
+    /// Recordings with cues, in any layout that `tendon evaluate` reads; or single files of a 3DC folder.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,
     /// Where to write the profile.
@@ -60,72 +63,112 @@ pub fn fit(options: &FitOptions) -> Result<(), Failure> {
 }
 
 fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {
-    let channels = &options.recording.channels;
-    let unit = options.recording.unit_of(three_dc::UNIT)?;
-    let settings = RecordingSettings {
-        channels: if channels.is_empty() { of_three_dc() } else { channels.clone() },
-        sample_rate_hz: options.recording.recording_rate_hz,
-        repetition: None,
+    // Single files and folders of any name, too.
+    let is_three_dc = |path: &&PathBuf| {
+        three_dc::parse_file_name(path).is_some()
+            || three_dc::repetitions(path).is_ok_and(|repetitions| !repetitions.is_empty())
     };
-    let mut segments: Vec<(Gesture, Vec<f32>)> = Vec::new();
-    let mut sample_rate_hz = None;
-    for path in &options.recordings {
+    let (three_dc, others): (Vec<&PathBuf>, Vec<&PathBuf>) = options.recordings.iter().partition(is_three_dc);
+    let settings = options.recording.settings(DatasetSettings::default());
+    let channels = if others.is_empty() {
+        let given = options.recording.channels.clone();
+        if given.is_empty() { of_three_dc() } else { given }
+    } else {
         ensure!(
-            three_dc::is_three_dc(path),
-            "{}: a table does not say which gestures were made: give a folder of the 3DC layout \
-             (…/ParticipantP/train/EMG), or one of its files",
-            path.display()
+            three_dc.is_empty(),
+            "{} is of the layout 3DC and {} of another: fit one profile for each",
+            three_dc[0].display(),
+            others[0].display()
         );
-        let mut recording = RecordingSource::open(path, &settings)?;
-        let rate = recording.sample_rate_hz();
+        channels_or_default(&options.recording.channels, &settings, &options.recordings)?
+    };
+    let settings = DatasetSettings { channels, ..settings };
+    let mut parts = Parts { skip_s: options.skip_s, ..Parts::default() };
+    let own_unit = if others.is_empty() {
+        ensure!(settings.label_column.is_none(), "--label-column is for tables of your own: leave it out");
+        let settings = RecordingSettings {
+            channels: settings.channels.clone(),
+            sample_rate_hz: settings.recording_rate_hz,
+            ..RecordingSettings::default()
+        };
+        for path in three_dc {
+            parts.read(path, RecordingSource::open(path, &settings)?)?;
+        }
+        three_dc::UNIT.to_owned()
+    } else {
+        let found = list(&settings, &options.recordings)?;
+        let people: BTreeSet<PersonId> = found.recordings.iter().map(|recording| recording.person).collect();
         ensure!(
-            *sample_rate_hz.get_or_insert(rate) == rate,
-            "{}: recorded at another rate than the recordings before it: fit one profile for each rate",
-            path.display()
+            people.len() == 1,
+            "the recordings are of several people ({}): a profile is of one, so give those of one",
+            list_of(&people.into_iter().collect::<Vec<_>>())
         );
-        read_segments(&mut recording, (options.skip_s * rate) as usize, &mut segments)?;
-        tell(format_args!("read {} ({} gestures so far)", path.display(), segments.len()));
-    }
-    let segments: Vec<Segment<'_>> =
-        segments.iter().map(|(gesture, samples)| Segment { gesture: *gesture, samples }).collect();
+        for recording in &found.recordings {
+            parts.read(&recording.path, recording.open(&settings)?)?;
+        }
+        found.unit
+    };
+    let segments = parts.segments.iter().map(|(gesture, samples)| Segment { gesture: *gesture, samples });
+    let segments: Vec<Segment<'_>> = segments.collect();
     Ok(fit_profile(
         &segments,
         &FitSettings {
             source: options.source.clone(),
-            unit,
+            unit: options.recording.unit_of(&own_unit)?,
             channels: settings.channels.len(),
-            sample_rate_hz: sample_rate_hz.context("there are no recordings")?,
+            sample_rate_hz: parts.sample_rate_hz.context("there are no recordings")?,
             mains_hz: options.mains_hz,
         },
     )?)
 }
 
-/// Cuts a recording at its cues, without the first `skip` samples after each; channel-major.
-fn read_segments(
-    recording: &mut RecordingSource,
-    skip: usize,
-    segments: &mut Vec<(Gesture, Vec<f32>)>,
-) -> anyhow::Result<()> {
-    let channels = recording.channels();
-    let mut values = vec![0.0; channels];
-    let mut by_channel: Vec<Vec<f32>> = vec![Vec::new(); channels];
-    let mut current = None;
-    loop {
-        let frame = recording.next_frame(&mut values)?;
-        if current != frame {
-            let gesture = current.and_then(|frame: tendon_recordings::Frame| frame.cue);
-            if let Some(gesture) = gesture.filter(|_| by_channel[0].len() > skip) {
-                segments.push((
-                    gesture,
-                    by_channel.iter().flat_map(|samples| &samples[skip..]).copied().collect(),
-                ));
+/// Whether two recordings can be fitted together: rates that were found by time stamps are never quite the same.
+fn is_same_rate(a_hz: f64, b_hz: f64) -> bool {
+    const TOLERANCE: f64 = 1e-3;
+    (a_hz / b_hz - 1.0).abs() <= TOLERANCE
+}
+
+/// What was read of recordings: samples under a cue, without the beginning of each part.
+#[derive(Default)]
+struct Parts {
+    /// The gestures with their samples, channel-major.
+    segments: Vec<(Gesture, Vec<f32>)>,
+    sample_rate_hz: Option<f64>,
+    /// Left out of the beginning of each part, s.
+    skip_s: f64,
+}
+
+impl Parts {
+    /// Cuts a recording at its cues and where samples are missing.
+    fn read(&mut self, path: &Path, mut recording: RecordingSource) -> anyhow::Result<()> {
+        let rate_hz = recording.sample_rate_hz();
+        ensure!(
+            is_same_rate(*self.sample_rate_hz.get_or_insert(rate_hz), rate_hz),
+            "{}: recorded at another rate than the recordings before it: fit one profile for each rate",
+            path.display()
+        );
+        let skip = (self.skip_s * rate_hz) as usize;
+        let mut values = vec![0.0; recording.channels()];
+        let mut by_channel: Vec<Vec<f32>> = vec![Vec::new(); values.len()];
+        let mut last: Option<Frame> = None;
+        loop {
+            let frame = recording.next_frame(&mut values)?;
+            let goes_on = |last: &Frame| {
+                frame.is_some_and(|frame| frame.segment == last.segment && frame.samples_lost_before == 0)
+            };
+            if let Some(last) = last.filter(|last| !goes_on(last)) {
+                if let Some(gesture) = last.cue.filter(|_| by_channel[0].len() > skip) {
+                    let samples = by_channel.iter().flat_map(|samples| &samples[skip..]).copied().collect();
+                    self.segments.push((gesture, samples));
+                }
+                by_channel.iter_mut().for_each(Vec::clear);
             }
-            by_channel.iter_mut().for_each(Vec::clear);
-            current = frame;
+            last = frame;
+            if frame.is_none() {
+                tell(format_args!("read {} ({} gestures so far)", path.display(), self.segments.len()));
+                return Ok(());
+            }
+            by_channel.iter_mut().zip(&values).for_each(|(samples, value)| samples.push(*value));
         }
-        if frame.is_none() {
-            return Ok(());
-        }
-        by_channel.iter_mut().zip(&values).for_each(|(samples, value)| samples.push(*value));
     }
 }

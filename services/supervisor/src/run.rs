@@ -5,10 +5,13 @@
 //!    └── refused ──┴── refused ──┴── a stage fails to start ────────────────▶
 //! ```
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use anyhow::Context;
+use signal_hook::consts::{SIGINT, SIGTERM};
 use tendon_config::Config;
 use tendon_gesture::{DecisionSettings, Strategy};
 use tendon_messages::Stage;
@@ -27,11 +30,13 @@ use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::{Contraction, TaskRun};
 
 use crate::desk::SessionDesk;
+use crate::next::{Following, Handover};
 use crate::options::Options;
+use crate::page::Page;
 use crate::personal::check_signal;
 use crate::screen::{KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
-use crate::{Failure, TERMINAL_TIMEOUT, checks, page, provenance, recorded, zones};
+use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, recorded, zones};
 
 /// Longest time between two looks at what the stages say. Their messages do not wait for it, but the heartbeat does.
 const TICK: Duration = Duration::from_millis(50);
@@ -41,21 +46,35 @@ const TASK_TICK: Duration = Duration::from_millis(20);
 /// The program that gives what a session decides to the Lab Streaming Layer.
 const LSL_OUTLET: &str = "tendon-lsl-outlet";
 
-/// Starts the programs that observe the session, as far as they are asked for.
-fn companions(
-    options: &Options,
-    config: &Config,
-    terminal: &Terminal,
-) -> Result<Vec<Companion>, ChildrenError> {
-    let start = |name, arguments: &[String]| Companion::start(name, config, arguments, &terminal.errors);
-    let outlet = config.outlets.lsl.then(|| start(LSL_OUTLET, &[]));
-    let page = options.page.page.then(|| start(page::PROGRAM, &options.page.arguments()));
-    outlet.into_iter().chain(page).collect()
+/// The programs that observe the session, as far as they are asked for.
+struct Companions {
+    outlet: Option<Companion>,
+    page: Option<Page>,
 }
 
-/// Runs a session. However it ends, the files that were asked for are written; not with a configuration that makes no
-/// sense, because it may name one of them as an input.
-pub fn run(options: &Options) -> Result<(), Failure> {
+impl Companions {
+    fn start(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
+        let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
+        let outlet =
+            config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, |_| (), errors));
+        let page = options.page.page.then(|| Page::start(&options.page, config, before.as_ref(), errors));
+        let failed = |error: ChildrenError| Failure::running(error);
+        Ok(Companions {
+            outlet: outlet.transpose().map_err(failed)?,
+            page: page.transpose().map_err(failed)?,
+        })
+    }
+
+    /// Says what there is to say of them. Does not wait.
+    fn look(&mut self) {
+        self.outlet.iter_mut().for_each(Companion::look);
+        self.page.iter_mut().for_each(Page::look);
+    }
+}
+
+/// Runs a session, and gives what is to follow on it. However it ends, the files that were asked for are written; not with a
+/// configuration that makes no sense, because it may name one of them as an input.
+pub fn run(options: &Options) -> Result<Option<Following>, Failure> {
     // What a replay takes out of its recording lies in the folder, if it takes anything.
     let (config, _folder) = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
@@ -74,7 +93,7 @@ pub fn run(options: &Options) -> Result<(), Failure> {
     // What is said of the end comes after all else, if the terminal takes it.
     let _ = terminal.errors.finish(TERMINAL_TIMEOUT);
     // What ended the session says more than what came of that.
-    let result = result.and(written.map_err(Failure::running));
+    let result = result.and_then(|following| written.map(|()| following).map_err(Failure::running));
     match terminal.output.finish(TERMINAL_TIMEOUT) {
         // Nobody reads the table; it is no less true for that.
         Ok(()) | Err(OutputError::Closed(_) | OutputError::Stalled(_)) => result,
@@ -99,15 +118,15 @@ struct Known {
 
 impl Known {
     /// Prints the table and writes the files that were asked for.
-    fn report(
+    fn report<T>(
         mut self,
-        result: &Result<(), Failure>,
+        result: &Result<T, Failure>,
         outputs: &SessionOutputs,
         terminal: &Terminal,
     ) -> Result<(), OutputErrors> {
         self.facts.outcome = match (result, &self.measurements) {
             (_, None) => Outcome::NotStarted,
-            (Ok(()), Some(_)) => Outcome::Completed,
+            (Ok(_), Some(_)) => Outcome::Completed,
             (Err(_), Some(_)) => Outcome::BrokeOff,
         };
         self.facts.error = result.as_ref().err().map(Failure::reason);
@@ -138,7 +157,7 @@ fn run_configured(
     config: &Config,
     known: &mut Known,
     terminal: &Terminal,
-) -> Result<(), Failure> {
+) -> Result<Option<Following>, Failure> {
     known.configured(config)?;
     checks::outlets(config).map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
@@ -157,16 +176,17 @@ fn run_locked(
     config: &Config,
     known: &mut Known,
     terminal: &Terminal,
-) -> Result<(), Failure> {
+) -> Result<Option<Following>, Failure> {
     let _in_use = person_in_use(config).map_err(Failure::input)?;
     let robot = RobotLine::default();
     let (sender, events) = channel();
     stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
+    let is_told_to_end = end_flag().context("cannot handle signals").map_err(Failure::running)?;
     let observer = Observer::before_the_stages(&config.session, "supervisor").map_err(Failure::input)?;
     let has_simulated_user = options.has_simulated_user(config.acquisition.source);
     let task = options.task.map(|kind| zones::task(kind, config, has_simulated_user));
     known.task = task.transpose().map_err(Failure::input)?;
-    let mut desk = SessionDesk::open(config, has_simulated_user, &sender).map_err(Failure::input)?;
+    let mut desk = SessionDesk::open(config, options, has_simulated_user, &sender).map_err(Failure::input)?;
     // From before the arm goes to its start position: it can be stopped then, too.
     // With a page, gestures can come from there.
     let needs_keys = options.keyboard && !options.page.page;
@@ -195,7 +215,17 @@ fn run_locked(
     drop(keyboard);
     terminal.errors.end_live();
     known.session_ended(config, &watch, usage);
-    watched.and(stopped.map_err(Failure::running))
+    let following = watched.and_then(|following| stopped.map(|()| following).map_err(Failure::running))?;
+    Ok(following.filter(|_| !is_told_to_end.load(Ordering::Relaxed)))
+}
+
+/// Set by a signal that ends the session: then nothing follows on it.
+fn end_flag() -> std::io::Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, flag.clone())?;
+    }
+    Ok(flag)
 }
 
 /// Says that the session uses its person, if it has one, until the result is dropped.
@@ -205,23 +235,23 @@ fn person_in_use(config: &Config) -> anyhow::Result<Option<PersonInUse>> {
     Ok(Some(PersonInUse::claim(&Person::read(file)?.name)?))
 }
 
-/// Watches until the time is over, the recording is, somebody says stop, or a stage ends that cannot be started
-/// again.
+/// Watches until the time is over, the recording is, somebody says stop or asks for something else, or a stage ends that cannot
+/// be started again. Gives what was asked for.
 fn watch_until_the_end(
     watch: &mut Watch<'_>,
     options: &Options,
     config: &Config,
     (task, desk): (&mut Option<TaskRun>, &mut SessionDesk),
     terminal: &Terminal,
-) -> Result<(), Failure> {
+) -> Result<Option<Following>, Failure> {
     if watch.wait_until_ready().map_err(failure)? == Turn::Over {
-        return Ok(());
+        return Ok(None);
     }
     if let Some(signal) = watch.ready().get(&Stage::Acquisition).and_then(|ready| ready.signal.as_ref()) {
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    let mut companions = companions(options, config, terminal).map_err(Failure::running)?;
+    let mut companions = Companions::start(options, config, &terminal.errors)?;
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
@@ -239,11 +269,15 @@ fn watch_until_the_end(
             watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: effort as f32 });
         }
         desk.turn(watch, task.as_ref());
-        companions.iter_mut().for_each(Companion::look);
+        companions.look();
         terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
         if turn == Turn::Over || is_over {
-            return Ok(());
+            return Ok(None);
+        }
+        if let Some(command_line) = desk.take_next() {
+            let handover = companions.page.as_ref().and_then(|page| desk.handover(page.keys()));
+            return Ok(Some(Following { command_line, handover }));
         }
     }
 }

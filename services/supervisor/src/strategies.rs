@@ -36,7 +36,7 @@ use personal::People;
 /// Command line of `tendon strategies`.
 #[derive(Debug, Args)]
 pub struct Options {
-    /// Continuous recordings with cues: folders of the 3DC layout or with a labels.csv, files .edf, .bdf or .xdf, or
+    /// Continuous recordings with cues: folders of the 3DC layout or with a labels.csv, files .edf, .bdf, .xdf or .xdfz, or
     /// folders above such.
     #[arg(required = true, value_name = "PATH")]
     recordings: Vec<PathBuf>,
@@ -303,10 +303,8 @@ fn settings(
     config: &Config,
     pipelines: &[(Strategy, Pipeline)],
 ) -> anyhow::Result<DatasetSettings> {
-    let settings = DatasetSettings {
-        recording_rate_hz: options.recording.recording_rate_hz,
-        ..dataset_settings(&pipeline_settings(config, Strategy::Direct), &[])
-    };
+    let settings = dataset_settings(&pipeline_settings(config, Strategy::Direct), &[]);
+    let settings = options.recording.settings(settings);
     let models: Vec<&Path> =
         pipelines.iter().flat_map(|(_, pipeline)| pipeline.recogniser().models()).collect();
     let given = &options.recording.channels;

@@ -227,6 +227,9 @@ pub struct ReplaySettings {
     pub channels: Option<Vec<Channel>>,
     /// Sampling rate of a plain table, Hz.
     pub sample_rate_hz: Option<f64>,
+    /// The column of a plain table that says what was done, by number from 0 or by name; without it, one of a name such as `gesture`
+    /// or `label`.
+    pub label_column: Option<Channel>,
     /// Only this repetition of a 3DC folder; without it, all in order.
     pub repetition: Option<u32>,
     /// How fast.
@@ -239,6 +242,7 @@ impl Default for ReplaySettings {
             path: None,
             channels: None,
             sample_rate_hz: None,
+            label_column: None,
             repetition: None,
             pace: Pace::True,
         }
@@ -353,13 +357,18 @@ impl ReplaySettings {
         let path = self.path.as_deref().unwrap_or(Path::new(""));
         let channels = match &self.channels {
             Some(channels) => channels.clone(),
-            None if !is_three_dc(path) => first_muscles(path, channels)?,
+            None if !is_three_dc(path) => first_muscles(path, channels, self.label_column.as_ref())?,
             None if channels == MODEL_CHANNELS_OF_THREE_DC.len() => {
                 MODEL_CHANNELS_OF_THREE_DC.map(Channel::Index).to_vec()
             }
             None => (0..channels).map(Channel::Index).collect(),
         };
-        Ok(RecordingSettings { channels, sample_rate_hz: self.sample_rate_hz, repetition: self.repetition })
+        Ok(RecordingSettings {
+            channels,
+            sample_rate_hz: self.sample_rate_hz,
+            repetition: self.repetition,
+            label_column: self.label_column.clone(),
+        })
     }
 }
 

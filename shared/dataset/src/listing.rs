@@ -11,12 +11,12 @@ use std::path::{Path, PathBuf};
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{
-    Channel, RecordedSession, RecordingError, RecordingSource, Segment, Signals, SkippedEntry, SkippedKind,
-    is_signals, ozdemir, three_dc,
+    Channel, RecordedSession, RecordingError, RecordingSettings, RecordingSource, Segment, Signals,
+    SkippedEntry, SkippedKind, is_signals, muscles, ozdemir, three_dc, unit_of_table,
 };
-use tendon_signal::canonical_unit;
+use tendon_signal::{canonical_unit, unit_factor};
 
-use crate::recording::{Content, Recording};
+use crate::recording::{Content, Recording, Units};
 use crate::settings::DatasetSettings;
 
 pub use problem::ListingError;
@@ -95,17 +95,19 @@ pub struct Recordings {
 /// | files `.mat` | Ozdemir 2022: one a person |
 /// | files `P<person>_C<cycle>_G<gesture>.csv` | Ozdemir 2022: one a trial |
 /// | a folder with `labels.csv` | the tables and other files that it names |
-/// | files `.edf`, `.bdf`, `.xdf` | each by itself, with its annotations or markers that name gestures |
+/// | files `.edf`, `.bdf`, `.xdf`, `.xdfz` | each by itself, with its annotations or markers that name gestures |
+/// | other tables, if `settings` name a column of labels | each by itself, with the gestures of that column |
 ///
 /// Files that look like recordings but match none of these are listed as skipped. Links to folders are followed; of each path, a
 /// folder is looked at once, however many links lead to it.
 ///
 /// # Errors
 /// When there is no recording below one of the paths or none that can be used, the layouts differ, the same recording is
-/// found twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate),
+/// found twice, a name is not UTF-8, the settings do not fit the recordings (filtered before or not, no sampling rate, no table
+/// for a column of labels),
 /// `labels.csv` is wrong, or a folder cannot be read.
 pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings, ListingError> {
-    let mut found = Found::default();
+    let mut found = Found { takes_tables: settings.label_column.is_some(), ..Found::default() };
     for path in paths {
         let skipped_before = found.skipped.len();
         found.entered.clear();
@@ -123,6 +125,12 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
     }
     if let Some((_, path)) = found.candidates.iter().find(|(_, path)| path.to_str().is_none()) {
         return Err(ListingError::NotUtf8 { path: path.clone() });
+    }
+    let is_labelled_table = |(layout, path): &(Layout, PathBuf)| {
+        *layout == Layout::Labelled && path.is_file() && !is_signals(path)
+    };
+    if found.takes_tables && !found.candidates.iter().any(is_labelled_table) {
+        return Err(ListingError::NoTable { path: first, layout });
     }
     let mut skipped = found.skipped;
     let mut unit = layout.unit().unwrap_or_default().to_owned();
@@ -149,6 +157,8 @@ pub fn list(settings: &DatasetSettings, paths: &[PathBuf]) -> Result<Recordings,
 /// Folders and files by their names.
 #[derive(Default)]
 struct Found {
+    /// Whether tables say themselves what was done.
+    takes_tables: bool,
     candidates: Vec<(Layout, PathBuf)>,
     /// The candidates as the system names them.
     seen: BTreeSet<PathBuf>,
@@ -203,6 +213,9 @@ impl Found {
         let is_three_dc = three_dc::parse_file_name(path).is_some();
         let is_text =
             !is_given && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
+        if self.takes_tables && is_table(path) && !is_three_dc {
+            return Ok(self.add(Layout::Labelled, path));
+        }
         if is_three_dc {
             self.skip(
                 path,
@@ -237,7 +250,8 @@ fn unlabelled(table: &Path) -> String {
     }
     format!(
         "its name is not P<person>_C<cycle>_G<gesture>.csv, and no labels.csv names it: write one beside it, with the \
-         header {} and a line for each trial, and give the folder",
+         header {} and a line for each trial, and give the folder; or, if a column of it says what was done, name that with \
+         --label-column",
         labels::COLUMNS.join(",")
     )
 }
@@ -367,6 +381,7 @@ fn trial_recordings(files: &[PathBuf]) -> Result<Vec<Recording>, ListingError> {
                 samples_lost_before: 0,
             }],
             default_hz: Some(ozdemir::SAMPLE_RATE_HZ),
+            units: Units::default(),
         },
     };
     Ok(by_trial.into_iter().map(recording).collect())
@@ -387,26 +402,34 @@ fn labelled_recordings(
     skipped: &mut Vec<SkippedEntry>,
     unit: &mut String,
 ) -> Result<Vec<Recording>, ListingError> {
-    let mut files: Vec<(LabelledFile, Option<f64>)> = Vec::new();
+    // Each with the rate that its folder states, and its unit.
+    let mut files: Vec<(LabelledFile, Option<f64>, String)> = Vec::new();
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
-        if is_signals(folder) && folder.is_file() {
-            files.extend(own_cues(folder, unit, skipped)?.map(|file| (file, None)));
+        if folder.is_file() {
+            match own_cues(settings, folder) {
+                Ok((file, own_unit)) => {
+                    let own_unit = take_unit(folder, &own_unit, unit, skipped);
+                    files.extend(own_unit.map(|own_unit| (file, None, own_unit)));
+                }
+                Err(entry) => skipped.push(entry),
+            }
             continue;
         }
         let recorded = RecordedSession::read(folder)?;
         let default_hz = recorded.as_ref().map(|session| session.sample_rate_hz);
-        if let Some(recorded) = recorded.as_ref().filter(|_| unit.is_empty()) {
-            *unit = canonical_unit(&recorded.unit).to_owned();
-        }
         for mut file in labels::read(folder, settings.recording_rate_hz.or(default_hz), skipped)? {
             let is_rate_known = settings.recording_rate_hz.or(default_hz).is_some();
             if !is_rate_known && !is_signals(&file.path) && tells_no_rate(&file) {
                 return Err(ListingError::NoRate { labels: folder.join(labels::FILE_NAME) });
             }
-            if unit.is_empty() && is_signals(&file.path) {
-                *unit = canonical_unit(&Signals::read(&file.path, &[Channel::Index(0)])?.unit).to_owned();
-            }
+            let own_unit = match &recorded {
+                Some(recorded) => recorded.unit.clone(),
+                None if is_signals(&file.path) => Signals::read(&file.path, &[Channel::Index(0)])?.unit,
+                // What is wrong with a table shows when it is read.
+                None => unit_of_table(&file.path, &settings.channels).unwrap_or_default(),
+            };
+            let Some(own_unit) = take_unit(&file.path, &own_unit, unit, skipped) else { continue };
             if let Some(session) = recorded.as_ref().filter(|_| file.person == EARLIER_RECORDER) {
                 file.person = session.person;
             }
@@ -414,12 +437,12 @@ fn labelled_recordings(
                 let what = file.path.display().to_string();
                 return Err(ListingError::Twice { what, first: first.clone(), second: folder.clone() });
             }
-            files.push((file, default_hz));
+            files.push((file, default_hz, own_unit));
         }
     }
     // Of each person the sessions, in the order in which they are named, and how many repetitions a session has.
     let mut sessions: BTreeMap<PersonId, (Vec<String>, u32)> = BTreeMap::new();
-    for (file, _) in &files {
+    for (file, ..) in &files {
         let (names, repetitions) = sessions.entry(file.person).or_default();
         if !names.contains(&file.session) {
             names.push(file.session.clone());
@@ -427,18 +450,20 @@ fn labelled_recordings(
         *repetitions = (*repetitions).max(file.last_repetition() + 1);
     }
     let mut recordings = Vec::new();
-    for (LabelledFile { path, person, session, segments }, default_hz) in files {
+    for (LabelledFile { path, person, session, segments }, default_hz, own) in files {
         let (names, repetitions) = &sessions[&person];
         if names.len() as u32 * repetitions > u32::from(u8::MAX) + 1 {
             return Err(ListingError::TooManyRepetitions { person });
         }
         let place = names.iter().position(|name| *name == session).unwrap_or(0) as u32;
+        let units = Units { own, wanted: unit.clone() };
         let content = match is_signals(&path) {
             // Those of the folder's labels; its own cues are found again when it is opened.
             true => {
-                Content::Signals { segments: folder_of_file.contains_key(&real(&path)).then_some(segments) }
+                let segments = folder_of_file.contains_key(&real(&path)).then_some(segments);
+                Content::Signals { segments, units }
             }
-            false => Content::Table { segments, default_hz },
+            false => Content::Table { segments, default_hz, units },
         };
         recordings.push(Recording {
             path,
@@ -451,44 +476,83 @@ fn labelled_recordings(
     Ok(recordings)
 }
 
-/// A file whose annotations or markers say what was done when; `None` if it cannot be used. Its unit becomes `unit` if that is
-/// empty.
-fn own_cues(
-    file: &Path,
-    unit: &mut String,
-    skipped: &mut Vec<SkippedEntry>,
-) -> Result<Option<LabelledFile>, ListingError> {
-    let mut skip = |kind, reason: String| {
-        skipped.push(SkippedEntry { path: file.to_owned(), kind, reason });
-        Ok(None)
-    };
-    let signals = match Signals::read(file, &[Channel::Index(0)]) {
-        Ok(signals) => signals,
-        Err(error) => return skip(SkippedKind::Unreadable, error.below(file)),
-    };
-    if signals.cues.is_empty() {
-        return skip(
+/// A file that says itself what was done when, or why it cannot be used. Its unit becomes `unit` if that is empty.
+fn own_cues(settings: &DatasetSettings, file: &Path) -> Result<(LabelledFile, String), SkippedEntry> {
+    let skipped = |kind, reason: String| SkippedEntry { path: file.to_owned(), kind, reason };
+    let read = if is_signals(file) { signals_with_cues(file) } else { labelled_table(settings, file) };
+    let (segments, own_unit) = read.map_err(|error| match error {
+        RecordingError::SampleRateMissing { .. } => skipped(
+            SkippedKind::Unreadable,
+            "it does not state its sampling rate: give it with --recording-rate-hz, e.g. 2000".to_owned(),
+        ),
+        error => skipped(SkippedKind::Unreadable, error.below(file)),
+    })?;
+    if segments.iter().all(|segment| segment.cue.is_none()) {
+        return Err(skipped(
             SkippedKind::NoLabel,
             "no annotation or marker in it names a gesture: write a labels.csv beside it that says what it shows".to_owned(),
-        );
+        ));
     }
-    let Some((person, session)) = labels::origin_of_name(file) else {
-        return skip(
+    let (person, session) = labels::origin_of_name(file).ok_or_else(|| {
+        skipped(
             SkippedKind::Person,
-            "neither its name nor its folder's says whose it is: call it sub-PERSON_….edf, or put it into a folder with the \
-             person's name"
-                .to_owned(),
-        );
-    };
-    let own_unit = canonical_unit(&signals.unit);
+            format!(
+                "neither its name nor its folder's says whose it is: call it sub-PERSON_….{}, or put it into a folder with the \
+                 person's name",
+                file.extension().unwrap_or_default().display()
+            ),
+        )
+    })?;
+    Ok((LabelledFile { path: file.to_owned(), person, session, segments }, own_unit))
+}
+
+/// The canonical spelling of a file's unit `own`, which becomes `unit` if that is empty; `None` if it cannot be converted to
+/// `unit`, so that the file cannot be used. Says if it is to be converted.
+fn take_unit(file: &Path, own: &str, unit: &mut String, skipped: &mut Vec<SkippedEntry>) -> Option<String> {
+    let own = canonical_unit(own);
     if unit.is_empty() {
-        *unit = own_unit.to_owned();
-    } else if *unit != own_unit {
-        return skip(
-            SkippedKind::Other,
-            format!("its samples are in {own_unit}, those of others in {unit}: give them separately"),
-        );
+        own.clone_into(unit);
     }
-    let segments = signals.segments(file);
-    Ok(Some(LabelledFile { path: file.to_owned(), person, session, segments }))
+    if !own.is_empty() && own != unit {
+        let is_convertible = unit_factor(own, unit).is_ok();
+        let (kind, reason) = match is_convertible {
+            true => (
+                SkippedKind::Notice,
+                format!("its samples are in {own} and are converted to {unit}, as the first has it"),
+            ),
+            false => (
+                SkippedKind::Other,
+                format!("its samples are in {own}, those of others in {unit}: give them separately"),
+            ),
+        };
+        skipped.push(SkippedEntry { path: file.to_owned(), kind, reason });
+        if !is_convertible {
+            return None;
+        }
+    }
+    Some(own.to_owned())
+}
+
+/// The trials of a file by its annotations or markers, and its unit.
+fn signals_with_cues(file: &Path) -> Result<(Vec<Segment>, String), RecordingError> {
+    let signals = Signals::read(file, &[Channel::Index(0)])?;
+    Ok((signals.segments(file), signals.unit))
+}
+
+/// The trials of a table by its column of labels, and its unit.
+fn labelled_table(settings: &DatasetSettings, file: &Path) -> Result<(Vec<Segment>, String), RecordingError> {
+    let label_column = settings.label_column.clone();
+    let mut channels = muscles(file, label_column.as_ref())?;
+    channels.truncate(1);
+    if channels.is_empty() {
+        channels.push(Channel::Index(0));
+    }
+    let settings = RecordingSettings {
+        channels,
+        sample_rate_hz: settings.recording_rate_hz,
+        repetition: None,
+        label_column,
+    };
+    let source = RecordingSource::open(file, &settings)?;
+    Ok((source.segments().to_vec(), source.unit().to_owned()))
 }

@@ -32,34 +32,54 @@ pub(crate) enum Content {
     /// A `.mat` file of Ozdemir 2022.
     OzdemirMat,
     /// A text table, divided like this.
-    Table { segments: Vec<Segment>, default_hz: Option<f64> },
+    Table { segments: Vec<Segment>, default_hz: Option<f64>, units: Units },
     /// A file that describes itself, divided like this or by its own cues.
-    Signals { segments: Option<Vec<Segment>> },
+    Signals { segments: Option<Vec<Segment>>, units: Units },
+}
+
+/// The unit of a recording's samples and that of the data set; of neither or both is none known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Units {
+    pub(crate) own: String,
+    pub(crate) wanted: String,
+}
+
+impl Units {
+    fn convert(&self, mut source: RecordingSource) -> Result<RecordingSource, RecordingError> {
+        // The chosen channels may be in another unit than the first ones.
+        let own = if source.unit().is_empty() { self.own.clone() } else { source.unit().to_owned() };
+        if !own.is_empty() && !self.wanted.is_empty() {
+            source.convert(&own, &self.wanted)?;
+        }
+        Ok(source)
+    }
 }
 
 impl Recording {
-    /// Opens it to be read.
-    pub(crate) fn open(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
+    /// Opens it to be read at its own rate.
+    ///
+    /// # Errors
+    /// When it cannot be opened, or lacks a channel.
+    pub fn open(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
         match &self.content {
             Content::ThreeDc { repetition } => {
                 let settings = RecordingSettings {
                     channels: settings.channels.clone(),
                     sample_rate_hz: settings.recording_rate_hz,
                     repetition: Some(*repetition),
+                    label_column: None,
                 };
                 RecordingSource::open(&self.path, &settings)
             }
             Content::OzdemirMat => ozdemir::open(&self.path, &settings.channels, settings.recording_rate_hz),
-            Content::Table { segments, default_hz } => {
+            Content::Table { segments, default_hz, units } => {
                 let rate_hz = settings.recording_rate_hz.or(*default_hz);
-                RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)
+                units.convert(RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)?)
             }
-            Content::Signals { segments } => RecordingSource::of_signals(
-                &self.path,
-                segments.clone(),
-                &settings.channels,
-                settings.recording_rate_hz,
-            ),
+            Content::Signals { segments, units } => {
+                let (segments, rate_hz) = (segments.clone(), settings.recording_rate_hz);
+                units.convert(RecordingSource::of_signals(&self.path, segments, &settings.channels, rate_hz)?)
+            }
         }
     }
 

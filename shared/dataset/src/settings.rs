@@ -14,6 +14,8 @@ pub struct DatasetSettings {
     pub channels: Vec<Channel>,
     /// Sampling rate of the recordings, in Hz, where they do not tell it.
     pub recording_rate_hz: Option<f64>,
+    /// The column of tables that says what was done. Without it, a `labels.csv` must say it.
+    pub label_column: Option<Channel>,
     /// Sampling rate of the windows, in Hz: the session's.
     pub sample_rate_hz: f64,
     /// The session's filter; `null` for recordings that are filtered already.
@@ -35,6 +37,7 @@ impl Default for DatasetSettings {
         DatasetSettings {
             channels: [0, 3, 5, 8].map(Channel::Index).to_vec(),
             recording_rate_hz: None,
+            label_column: None,
             sample_rate_hz: 2000.0,
             filter: Some(FilterSettings::default()),
             input: WindowInput::Raw,

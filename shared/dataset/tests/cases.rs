@@ -51,7 +51,8 @@ fn read_in_every_way(path: &Path, out: &Path) {
     let says = |error: String| assert!(error.contains(name) && error.len() > name.len() + 20, "{error}");
     let by_number = |numbers: &[usize]| numbers.iter().copied().map(Channel::Index).collect::<Vec<_>>();
     for channels in [by_number(&[0, 1, 2, 3]), by_number(&[4]), vec!["EMG_a".into()]] {
-        let settings = RecordingSettings { channels, sample_rate_hz: Some(1000.0), repetition: None };
+        let settings =
+            RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
         if let Err(error) = check(path, &settings) {
             says(error.to_string());
         }

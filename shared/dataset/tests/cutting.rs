@@ -238,7 +238,7 @@ fn the_windows_of_a_data_set_are_those_of_the_live_chain() {
         bytes.chunks_exact(4).map(|bytes| f32::from_le_bytes(bytes.try_into().unwrap())).collect();
 
     // Live: blocks of 10 through the chain with a window at every sample.
-    let recording = RecordingSettings { channels: settings.channels, sample_rate_hz: None, repetition: None };
+    let recording = RecordingSettings { channels: settings.channels, ..RecordingSettings::default() };
     let mut stream = ReplayStream::open(&emg, &recording, 2000.0, 10).unwrap();
     let signal = tendon_signal::SignalSettings {
         windows: tendon_signal::WindowSettings { window_samples: 600, increment_samples: 1 },

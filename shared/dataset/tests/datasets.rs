@@ -61,6 +61,17 @@ fn write_table(path: &Path, seed: usize, samples: usize) {
     fs::write(path, lines).unwrap();
 }
 
+/// The same with a column of labels behind the channels.
+fn write_labelled_table(path: &Path, seed: usize, samples: usize, label: impl Fn(usize) -> &'static str) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    write_table(path, seed, samples);
+    let text = fs::read_to_string(path).unwrap();
+    let lines = text.lines().enumerate().map(|(row, line)| format!("{line},{}\n", label(row)));
+    let columns = text.lines().next().unwrap().split(',').count();
+    let names: String = (0..columns).map(|column| format!("EMG {column},")).collect();
+    fs::write(path, format!("{names}done\n{}", lines.collect::<String>())).unwrap();
+}
+
 /// 3DC recordings of `people`: two sessions of two repetitions of rest, two of our gestures and one that is not.
 fn write_three_dc(folder: &Path, people: &[u16]) {
     for &person in people {
@@ -792,6 +803,32 @@ fn annotations_say_what_labels_would() {
     // Where there are labels, these count.
     let (_, named_windows, named_trials) = built(&named, None);
     assert!(named_windows == windows && named_trials == trials);
+    // And so does a column of a table.
+    let columns = temporary.path().join("columns");
+    for (file, seed) in [("all/sub-anna_ses-1_task-grasp_emg.csv", 1), ("ben/later.csv", 2)] {
+        write_labelled_table(&columns.join(file), seed, 5000, |row| match row {
+            500..2000 => "rest",
+            2250..3500 => "Grip",
+            4000..5000 => "extension",
+            _ => "good one",
+        });
+    }
+    write_labelled_table(&columns.join("ben/nothing.csv"), 2, 5000, |_| "?!");
+    fs::write(columns.join("ben/participants.tsv"), "name\tage\nben\t30\n").unwrap();
+    let label_column = Some(Channel::from("done"));
+    let labelled = DatasetSettings { recording_rate_hz: Some(1000.0), label_column, ..settings() };
+    let found = dataset::list(&labelled, std::slice::from_ref(&columns)).unwrap();
+    assert_eq!(found.recordings.len(), 2);
+    let reasons = found.skipped.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+    assert!(found.skipped.len() == 2 && reasons.contains("column `done` names no gesture"), "{reasons}");
+    let out = temporary.path().join("columns.out");
+    let of_columns = build(&labelled, &BuildSettings::default(), &columns, &out).unwrap();
+    let stored = StoredDataset::open(&out).unwrap();
+    let column_windows: Vec<f32> =
+        (0..stored.len()).flat_map(|window| stored.window(window).to_vec()).collect();
+    assert!(column_windows == windows && of_columns.recordings.len() == 6);
+    let refused = dataset::list(&labelled, std::slice::from_ref(&tables)).unwrap_err().to_string();
+    assert!(refused.contains("--label-column is for tables of your own without a labels.csv"), "{refused}");
     assert_eq!(manifest.recordings[0].session, "ses-1_task-grasp_emg");
     assert_eq!(manifest.skipped.len(), 1, "{:?}", manifest.skipped);
     assert!(manifest.skipped[0].reason.contains("no annotation or marker in it names a gesture"));
@@ -803,6 +840,51 @@ fn annotations_say_what_labels_would() {
             .unwrap_err()
             .to_string();
     assert!(message.contains("was sampled at 1000 Hz, but sample_rate_hz = 2000"), "{message}");
+}
+
+#[test]
+fn tables_keep_their_unit_and_those_in_another_are_converted_to_that_of_the_first() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    let table = |name: &str, head: &str, factors: [f64; 2]| {
+        let rows = noise(1, 1000).map(|row| {
+            let cells =
+                row.iter().zip(factors).map(|(value, factor)| (f64::from(*value) * factor).to_string());
+            cells.collect::<Vec<_>>().join(",") + "\n"
+        });
+        fs::write(folder.join(name), head.to_owned() + &rows.collect::<String>()).unwrap();
+    };
+    table("a.csv", "x,y\nmV,mV\n", [1.0, 1.0]);
+    table("b.csv", "x (uV),y (uV)\n", [1e3, 1e3]);
+    table("c.csv", "x [mV],y [V]\n", [1.0, 1e-3]);
+    table("d.csv", "x,y\n", [1.0, 1.0]);
+    table("e.csv", "x,y\nadc_counts,adc_counts\n", [1.0, 1.0]);
+    let lines: String = "abcde".chars().map(|name| format!("{name}.csv,1,0,grip\n")).collect();
+    fs::write(folder.join("labels.csv"), format!("file,person,repetition,gesture\n{lines}")).unwrap();
+    let settings = DatasetSettings { recording_rate_hz: Some(1000.0), ..settings() };
+    let found = dataset::list(&settings, &[folder.to_owned()]).unwrap();
+    assert_eq!(found.unit, "mV");
+    let said: Vec<_> = found.skipped.iter().map(|entry| (entry.kind, entry.to_string())).collect();
+    let [(SkippedKind::Notice, converted), (SkippedKind::Other, left_out)] = &said[..] else {
+        panic!("{said:?}")
+    };
+    assert!(converted.contains("b.csv: its samples are in uV and are converted to mV"), "{converted}");
+    assert!(left_out.contains("e.csv: its samples are in adc_counts, those of others in mV"), "{left_out}");
+    let samples: Vec<Vec<f32>> = found
+        .recordings
+        .iter()
+        .map(|recording| {
+            let mut block = vec![0.0; 200];
+            recording.stream(&settings, 100).unwrap().next_block(&mut block).unwrap().unwrap();
+            block
+        })
+        .collect();
+    assert_eq!(samples.len(), 4);
+    for (own, first) in samples.iter().flat_map(|own| own.iter().zip(&samples[0])) {
+        assert!((own - first).abs() < 1e-3, "{own} and {first}");
+    }
+    let manifest = build(&settings, &BuildSettings::default(), folder, &folder.join("out")).unwrap();
+    assert_eq!(manifest.unit, "mV");
 }
 
 #[test]

@@ -34,7 +34,7 @@ pub use personal::{
     score_people,
 };
 pub use personal_strategy::{Calibrating, PersonalStrategyError, calibrate_person, score_personal};
-pub use score::{OnProgress, ScoreError, Scores, score_dataset, score_recordings};
+pub use score::{OnProgress, ScoreError, Scores, score_dataset, score_recordings, settings_of};
 pub use strategies::{
     PersonRecordings, StrategyError, StrategyModels, StrategyProblem, dataset_settings, score_strategy,
     with_trials,

@@ -17,7 +17,7 @@ use tendon_dataset::{
 };
 use tendon_gesture::Gesture;
 use tendon_identity::PersonId;
-use tendon_recordings::{Channel, RecordingError, SkippedKind};
+use tendon_recordings::{RecordingError, SkippedKind};
 use tendon_signal::WindowSettings;
 
 use crate::evaluation::Evaluation;
@@ -155,23 +155,21 @@ pub fn score_dataset(
     scorer.finish(vec![folder.to_owned()], increments as f64 / settings.sample_rate_hz, Vec::new())
 }
 
-/// Scores `classifier` on the windows that are cut from the recordings at or below `paths`, whose `channels` it is
-/// given. `recording_rate_hz` is the rate of recordings that do not state it. `wanted` as for [`score_dataset`]; `on_progress` counts recordings.
+/// Scores `classifier` on the windows that are cut from the recordings at or below `paths` as `settings` say: see [`settings_of`].
+/// `wanted` as for [`score_dataset`]; `on_progress` counts recordings.
 ///
 /// # Errors
 /// When there are no recordings, or none of what the model knows.
 pub fn score_recordings(
     classifier: Classifier,
     paths: &[PathBuf],
-    channels: &[Channel],
-    recording_rate_hz: Option<f64>,
+    settings: &DatasetSettings,
     wanted: &[PersonId],
     on_progress: &mut OnProgress<'_>,
 ) -> Result<(Scores, Tally), ScoreError> {
-    let settings = DatasetSettings { recording_rate_hz, ..settings_of(classifier.contract(), channels) };
     let source = WindowSource {
         name: "--channels",
-        channels: channels.len(),
+        channels: settings.channels.len(),
         sample_rate_hz: settings.sample_rate_hz,
         window_samples: settings.windows.window_samples,
         sequence_windows: usize::MAX,
@@ -179,7 +177,7 @@ pub fn score_recordings(
         input: settings.input,
     };
     classifier.check_fit(&source).map_err(ScoreError::Model)?;
-    let found = list(&settings, paths)?;
+    let found = list(settings, paths)?;
     let known = found.recordings.iter().map(|recording| recording.person).collect();
     let data_set = found.layout.data_set();
     let sessions = found.recordings.iter().map(|recording| (recording.person, recording.session.as_str()));
@@ -192,7 +190,7 @@ pub fn score_recordings(
     let mut samples = 0;
     for (index, recording) in recordings.iter().enumerate() {
         on_progress(index, recordings.len());
-        match scorer.take_recording(&settings, recording, index)? {
+        match scorer.take_recording(settings, recording, index)? {
             Ok(cut) => {
                 samples += cut.samples;
                 skipped.extend(left_out_of(&cut));
@@ -205,9 +203,8 @@ pub fn score_recordings(
 
 /// How recordings are cut for a model: as `tendon dataset build` does by default, with the model's filter, rate and
 /// window.
-fn settings_of(contract: &Contract, channels: &[Channel]) -> DatasetSettings {
+pub fn settings_of(contract: &Contract) -> DatasetSettings {
     DatasetSettings {
-        channels: channels.to_vec(),
         sample_rate_hz: contract.sample_rate_hz,
         filter: contract.filters.first().cloned(),
         input: contract.input,

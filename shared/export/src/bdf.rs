@@ -92,11 +92,14 @@ impl Part {
 
 impl RecordLength {
     /// The length, of a tenth of a second to a second, with the fewest samples to be filled up at the ends of these parts; a
-    /// shorter one where these would not fit into the gaps, as records must not overlap. Its time in at most 8 characters
+    /// shorter one where these would not leave anything of a gap, as each gap must show. Its time in at most 8 characters
     /// gives the rate to 0.1 ppm, or as nearly as there is one.
     pub(crate) fn choose(sample_rate_hz: f64, channels: usize, parts: &[Part]) -> RecordLength {
         let most = (sample_rate_hz.ceil() as usize).clamp(1, LARGEST_RECORD / 3 / channels.max(1));
-        let fits = |samples: &usize| parts.iter().all(|part| part.filled(*samples) <= part.room);
+        // A step of one sample between records passes for rounding.
+        const SHORTEST_GAP: u64 = 2;
+        let stays_a_gap = |filled: u64, room: u64| filled == 0 || filled + SHORTEST_GAP <= room;
+        let fits = |samples: &usize| parts.iter().all(|part| stays_a_gap(part.filled(*samples), part.room));
         let of_rate = |samples: usize| {
             let length_s = samples as f64 / sample_rate_hz;
             let seconds = shortest(length_s);
@@ -378,9 +381,9 @@ mod tests {
         let last = u64::MAX;
         assert_eq!(choose(2000.0, &[(40_000, last)]), (2000, "1".to_owned()));
         assert_eq!(choose(2000.0, &[(3_000, last)]), (1500, "0.75".to_owned()));
-        // Nothing overlaps: 100 samples more do not fit into a gap of 10, and single lost samples leave no choice.
+        // Something of each gap is left: 100 samples more do not fit into a gap of 10, and single lost samples leave no choice.
         assert_eq!(choose(2000.0, &[(3_900, 10), (4_000, last)]).0, 217);
-        assert_eq!(choose(2000.0, &[(40, 30), (20, 10), (50, last)]).0, 30);
+        assert_eq!(choose(2000.0, &[(40, 30), (20, 10), (50, last)]).0, 28);
         assert_eq!(choose(2000.0, &[(41, 0), (30, 0), (50, last)]).0, 1);
         let (samples, seconds) = choose(1925.926, &[(19_266, last)]);
         assert!((samples as f64 / seconds.parse::<f64>().unwrap() / 1925.926 - 1.0).abs() < 2e-7);

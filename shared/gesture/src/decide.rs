@@ -118,6 +118,17 @@ impl Decider {
         }
     }
 
+    /// Takes the mode at this place, if there is one. What was made before says nothing about now, and a gesture that is still
+    /// held does nothing in the new mode before it is let go: nobody means it for that.
+    pub fn take_mode(&mut self, mode: usize) {
+        if mode == self.mode || mode >= self.settings.modes.len() {
+            return;
+        }
+        self.mode = mode;
+        self.hold.spend();
+        self.restart();
+    }
+
     /// Discards what the last windows said: windows are missing, so they say nothing about the present. The mode stays.
     pub fn restart(&mut self) {
         self.votes = Votes::new(self.settings.vote_windows);
@@ -386,6 +397,21 @@ mod tests {
         let decisions = held(&mut decider, &[(Gesture::FLEXION, 3), (Gesture::ULNAR, 4)]);
         assert_eq!((decisions[2].twist[2], decisions[2].frame), (20.0, Frame::Tool));
         assert_eq!(decisions[6].mode, 0, "after the last mode comes the first");
+    }
+
+    #[test]
+    fn a_mode_that_is_ordered_is_taken_and_moves_nothing_before_the_gesture_was_let_go() {
+        let mut decider = Decider::new(&settings(TWO_MODES)).unwrap();
+        assert!(held(&mut decider, &[(Gesture::EXTENSION, 3)])[2].twist[2] > 0.0);
+        // The one that is on, and one that there is not, change nothing.
+        decider.take_mode(0);
+        decider.take_mode(2);
+        assert!(held(&mut decider, &[(Gesture::EXTENSION, 1)])[0].twist[2] > 0.0);
+        decider.take_mode(1);
+        let still_held = held(&mut decider, &[(Gesture::EXTENSION, 10)]);
+        assert!(still_held.iter().all(|decision| decision.twist == [0.0; 6] && decision.mode == 1));
+        let again = held(&mut decider, &[(Gesture::REST, 2), (Gesture::EXTENSION, 3)]);
+        assert_eq!(again[4].twist[4], -20_f64.to_radians());
     }
 
     #[test]

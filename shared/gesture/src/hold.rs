@@ -67,6 +67,11 @@ impl Hold {
         (self.gesture, self.windows) = (Gesture::REST, 0);
     }
 
+    /// The gesture that is held does nothing more before it is let go.
+    pub(crate) fn spend(&mut self) {
+        self.spent = Some((self.gesture, 0));
+    }
+
     /// Whether this gesture has acted and was not let go since.
     pub(crate) fn is_spent(&self, gesture: Gesture) -> bool {
         self.spent.is_some_and(|(spent, _)| spent == gesture)
@@ -152,7 +157,7 @@ impl Hold {
     }
 
     fn changes_mode(&mut self) -> Press {
-        self.spent = Some((self.gesture, 0));
+        self.spend();
         Press::ChangesMode
     }
 

@@ -10,6 +10,7 @@
 
 use std::collections::VecDeque;
 
+use serde::Serialize;
 use tendon_gesture::Gesture;
 
 use crate::settings::GuideSettings;
@@ -50,7 +51,8 @@ pub struct Span {
 }
 
 /// What the person is asked to do now.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Ask {
     /// To wait for the key that lets it go on.
     Wait,
@@ -158,6 +160,11 @@ impl Guide {
         }
         self.phase = Phase::Waiting;
         Some(trial)
+    }
+
+    /// Whether [`Guide::redo`] finds a trial.
+    pub fn can_redo(&self) -> bool {
+        matches!(self.phase, Phase::Hold { .. }) || self.last_done.is_some()
     }
 
     /// Whether nothing is left to do.
@@ -344,12 +351,14 @@ mod tests {
     #[test]
     fn a_trial_can_be_done_again_while_it_lasts_and_after_it() {
         let mut guide = Guide::new(settings(), RATE_HZ);
+        assert!(!guide.can_redo());
         assert_eq!(guide.redo(), None, "there is nothing to redo yet");
         guide.go_on();
         for sample in [5000, 9000, 10_000] {
             while guide.advance(sample).is_some() {}
         }
         let grip = Trial { gesture: Gesture::GRIP, repetition: 0 };
+        assert!(guide.can_redo());
         assert_eq!(guide.redo(), Some(grip), "in the middle of it");
         assert_eq!(guide.advance(60_000), None, "it waits");
         assert_eq!(guide.cue().ask, Ask::Wait);

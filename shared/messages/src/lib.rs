@@ -234,6 +234,9 @@ pub struct WindowContext {
     /// What the stages behind dsp are to repeat in the replay of a recorded session: bits of [`ReplayMark`]s; 0 in a live
     /// session.
     pub replay_marks: u8,
+    /// The mode that decision was ordered to take with this window when a recorded session was recorded, to be repeated in its
+    /// replay: as [`CommandHeader::ordered_mode`]; 0 in a live session.
+    pub ordered_mode: u8,
 }
 
 /// What a stage did with a window when a session was recorded, and repeats when it is replayed: one bit of
@@ -319,6 +322,8 @@ pub struct CommandHeader {
     pub mode: u8,
     /// 1 if it is not clear which gesture is made, and the arm rests for that.
     pub is_unsure: u8,
+    /// The place, from 1, of the mode that was ordered, and taken with this window; 0 if none was.
+    pub ordered_mode: u8,
 }
 
 numbered! {

@@ -16,6 +16,7 @@ mod error;
 mod measure;
 mod notes;
 mod orders;
+mod page;
 mod requests;
 mod scheduling;
 
@@ -36,6 +37,7 @@ pub use error::{ProcessError, WorkError, with_causes};
 pub use measure::{BATCH_LENGTH, Measurements};
 pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, leave_note};
 pub use orders::{Asker, Order, OrderError, order_robot};
+pub use page::{PAGE_VARIABLE, PageKeys};
 pub use requests::{
     Answer, Asked, CalibrationRequest, GestureRequest, Next, NextCalibration, NextSession, Request,
     RequestError, RequestSocket, ask_session, session_status,
@@ -93,6 +95,9 @@ pub trait Consumer<H: Traced, E: Element> {
     /// What ends the session: a message that cannot be one of this session, or a transport that is broken.
     fn take(&mut self, process: &mut StageProcess, message: &Received<H, E>)
     -> Result<Measured, Self::Error>;
+
+    /// Hears an order that is for this stage.
+    fn obey(&mut self, _order: Order) {}
 
     /// When the consumer wants [`Consumer::rehearse`] to be called, CLOCK_MONOTONIC ns, if no message comes
     /// first.
@@ -198,7 +203,7 @@ impl StageProcess {
             let deadlines_ns = [rehearsal_ns, self.measurements.deadline_ns()];
             match self.control.wait(Some(input.as_fd()), deadlines_ns.into_iter().flatten().min())? {
                 Wake::Stop => break,
-                Wake::Order(_) => {}
+                Wake::Order(order) => consumer.obey(order),
                 Wake::Deadline => {
                     if rehearsal_ns.is_some_and(|rehearsal_ns| now_ns() >= rehearsal_ns) {
                         consumer.rehearse().map_err(|error| ProcessError::Work(error.into()))?;

@@ -36,6 +36,8 @@ pub enum Order {
         /// Its share of the amplitude of a full contraction, from 0 to 1. The line need not say it: 1 then.
         effort: f32,
     },
+    /// Take the mode at this place, from 0.
+    Mode(u8),
     /// The supervisor is there. The robot rests when this stops coming.
     Alive,
     /// Stop the arm, until [`Order::Arm`].
@@ -52,6 +54,7 @@ impl Order {
         match self {
             Order::Start => "start".to_owned(),
             Order::Gesture { gesture, effort } => format!("gesture {gesture} {effort}"),
+            Order::Mode(place) => format!("mode {place}"),
             Order::Alive => "alive".to_owned(),
             Order::Stop => "stop".to_owned(),
             Order::Arm => "arm".to_owned(),
@@ -70,9 +73,14 @@ impl Order {
             "stop" => Some(Order::Stop),
             "arm" => Some(Order::Arm),
             "stage-ended" => Some(Order::StageEnded),
-            line => parse_gesture(line),
+            line => parse_gesture(line).or_else(|| parse_mode(line)),
         }
     }
+}
+
+/// Reads `mode PLACE`.
+fn parse_mode(line: &str) -> Option<Order> {
+    line.strip_prefix("mode ").and_then(|place| place.trim().parse().ok()).map(Order::Mode)
 }
 
 /// Reads `gesture NAME` and `gesture NAME EFFORT`.
@@ -325,6 +333,8 @@ mod tests {
             Order::Start,
             Order::Gesture { gesture: Gesture::ULNAR, effort: 1.0 },
             Order::Gesture { gesture: Gesture::GRIP, effort: 0.3 },
+            Order::Mode(0),
+            Order::Mode(255),
             Order::Alive,
             Order::Stop,
             Order::Arm,
@@ -344,6 +354,11 @@ mod tests {
             "gesture ulnar NaN",
             "gesture ulnar 1 1",
             "start now",
+            "mode",
+            "mode 256",
+            "mode -1",
+            "mode y-z",
+            "mode 1 2",
             "stop it",
         ] {
             assert_eq!(Order::parse(nonsense), None, "{nonsense}");

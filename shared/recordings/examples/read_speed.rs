@@ -15,7 +15,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     for (name, channels) in [("4 of 10 channels", vec![0, 3, 5, 8]), ("10 of 10 channels", (0..10).collect())]
     {
         let channels: Vec<Channel> = channels.into_iter().map(Channel::Index).collect();
-        let settings = RecordingSettings { channels, sample_rate_hz: None, repetition: None };
+        let settings = RecordingSettings { channels, ..RecordingSettings::default() };
 
         let start = Instant::now();
         let (mut bytes, mut recording_s) = (0, 0.0);

@@ -16,12 +16,11 @@ use tendon_gesture::Gesture;
 
 use crate::segment::Segment;
 use crate::signals::gesture_of;
-use crate::table::{self, Column};
+use crate::table;
 
-/// The trials in the table `text` at `path` and what lies between them, by the column of labels, whose name comes first; `None`
-/// if there is no such column, or no gesture in it.
-pub(crate) fn segments(path: &Path, text: &[u8], columns: &[Column]) -> Option<(String, Vec<Segment>)> {
-    let column = table::truth(columns)?;
+/// The trials in the table `text` at `path` and what lies between them, by this column of labels; `None` if there is no gesture in
+/// it.
+pub(crate) fn segments(path: &Path, text: &[u8], column: usize) -> Option<Vec<Segment>> {
     let mut repetitions: BTreeMap<Gesture, u32> = BTreeMap::new();
     let mut segments: Vec<Segment> = Vec::new();
     let mut current: Option<&[u8]> = None;
@@ -45,7 +44,7 @@ pub(crate) fn segments(path: &Path, text: &[u8], columns: &[Column]) -> Option<(
         let file = path.to_owned();
         segments.push(Segment { file, repetition, cue, end_sample: None, samples_lost_before: 0 });
     }
-    (!repetitions.is_empty()).then(|| (columns[column].name.clone(), segments))
+    (!repetitions.is_empty()).then_some(segments)
 }
 
 /// The gesture that a label names; whole numbers may be written `3.0`.
@@ -62,12 +61,13 @@ mod tests {
     /// The column, and of each part its end, its repetition and its gesture.
     fn trials(text: &str) -> Option<(String, Vec<String>)> {
         let columns = table::columns(text.as_bytes()).unwrap();
-        let (column, segments) = segments(Path::new("emg.csv"), text.as_bytes(), &columns)?;
+        let column = table::truth(&columns)?;
+        let segments = segments(Path::new("emg.csv"), text.as_bytes(), column)?;
         let part = |Segment { end_sample, repetition, cue, .. }: Segment| match (repetition, cue) {
             (Some(repetition), Some(cue)) => format!("{end_sample:?} {cue} {repetition}"),
             _ => format!("{end_sample:?} -"),
         };
-        Some((column, segments.into_iter().map(part).collect()))
+        Some((columns[column].name.clone(), segments.into_iter().map(part).collect()))
     }
 
     #[test]

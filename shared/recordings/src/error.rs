@@ -3,12 +3,12 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use tendon_signal::DesignError;
+use tendon_signal::{DesignError, UnitError};
 
 use crate::mat::MatError;
 use crate::recorder::RecorderError;
 use crate::signals::SignalsError;
-use crate::table::{TableError, TableProblem};
+use crate::table::{Rate, TableError, TableProblem};
 
 /// A recording that cannot be read. Each message says where and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -23,7 +23,7 @@ pub enum RecordingError {
     },
     /// A path without a known layout.
     #[error(
-        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file .edf, .bdf or .xdf, a file \
+        "{} is not a recording that can be read: give a table of samples (.csv, .tsv or .txt), a file .edf, .bdf, .xdf or .xdfz, a file \
          3dc_EMG_gesture_R_G.txt, or the EMG folder that holds such files",
         .path.display()
     )]
@@ -47,11 +47,41 @@ pub enum RecordingError {
         /// The file.
         file: PathBuf,
     },
+    /// A column of labels was given for what has cues of its own.
+    #[error("{} has cues of its own: leave out label_column, which is for tables", .path.display())]
+    OwnCues {
+        /// The recording.
+        path: PathBuf,
+    },
+    /// A column of labels that names no gesture.
+    #[error(
+        "{}: column `{column}` names no gesture: give as label_column one with words, such as rest and grip, or whole \
+         numbers, of which 0 is rest",
+        .file.display()
+    )]
+    NoLabels {
+        /// The file.
+        file: PathBuf,
+        /// The column.
+        column: String,
+    },
     /// A plain table whose sampling rate was not given.
     #[error("{} does not state its sampling rate: give sample_rate_hz, e.g. 2000", .file.display())]
     SampleRateMissing {
         /// The file.
         file: PathBuf,
+    },
+    /// A plain table whose first lines state rates of which none can be taken.
+    #[error(
+        "{} states {}, which does not tell its sampling rate: give sample_rate_hz, e.g. 2000",
+        .file.display(),
+        .stated.iter().map(|rate| format!("{rate} Hz")).collect::<Vec<_>>().join(" and ")
+    )]
+    SampleRateUnclear {
+        /// The file.
+        file: PathBuf,
+        /// What it states.
+        stated: Vec<Rate>,
     },
     /// A sampling rate other than the one the layout has.
     #[error(
@@ -76,8 +106,9 @@ pub enum RecordingError {
     },
     /// Rates between which no resampler is made.
     #[error(
-        "cannot resample from {from_hz} Hz to {to_hz} Hz: both must be above 0, and neither more than 100000 times the \
-         other; check the rate of the recording"
+        "cannot resample from {} Hz to {to_hz} Hz: both must be above 0, and neither more than 100000 times the other; check the \
+         rate of the recording",
+        Rate(*.from_hz)
     )]
     Resampling {
         /// Rate of the recording.
@@ -123,6 +154,9 @@ pub enum RecordingError {
     /// A description of a recording that cannot be read.
     #[error(transparent)]
     Recorded(#[from] RecorderError),
+    /// Samples whose unit cannot be converted.
+    #[error(transparent)]
+    Unit(#[from] UnitError),
     /// Settings from which no filter or window can be made.
     #[error(transparent)]
     Design(#[from] DesignError),

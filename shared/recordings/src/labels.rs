@@ -13,7 +13,9 @@
 //!
 //! People may have any names. What [`PersonId`] cannot take becomes a form that it can: `Anna B.` is `anna-b`.
 
+mod clock;
 mod problem;
+mod row;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,11 +25,11 @@ use std::path::{Path, PathBuf};
 use tendon_gesture::Gesture;
 use tendon_identity::{NoPersonId, PersonId};
 
-use crate::error::RecordingError;
 use crate::segment::{Segment, SkippedEntry, SkippedKind};
 use crate::signals::is_signals;
-use crate::source::{FRAMES_AT_ONCE, RecordingSettings, RecordingSource};
-use crate::table::Channel;
+
+use clock::{FileClock, Place};
+use row::{Row, columns_of};
 
 pub use problem::{LabelsError, LabelsProblem};
 
@@ -37,14 +39,6 @@ pub const FILE_NAME: &str = "labels.csv";
 /// Its columns.
 pub const COLUMNS: [&str; 8] =
     ["file", "person", "session", "repetition", "gesture", "start_sample", "end_sample", "asked"];
-/// Columns that may stand in place of `start_sample` and `end_sample`.
-const SECONDS: [&str; 2] = ["start_s", "end_s"];
-/// Of these, those that must be there.
-const REQUIRED: [&str; 4] = ["file", "person", "repetition", "gesture"];
-
-/// The session where none is given.
-const ONLY_SESSION: &str = "1";
-
 /// A file that has labels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LabelledFile {
@@ -72,68 +66,6 @@ struct Label {
     gesture: Gesture,
     start: Place,
     end: Option<Place>,
-}
-
-/// A place in a file.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Place {
-    Sample(u64),
-    /// From the first sample on.
-    Seconds(f64),
-}
-
-impl Place {
-    /// The sample there; `clock` is that of the file.
-    fn sample(self, clock: Option<&FileClock>) -> u64 {
-        match self {
-            Place::Sample(sample) => sample,
-            Place::Seconds(seconds) => clock.map_or(0, |clock| clock.sample_at(seconds)),
-        }
-    }
-}
-
-/// Which sample of a file stands where in time.
-struct FileClock {
-    sample_rate_hz: f64,
-    /// Where samples follow on: how many came before, and how many if none were missing.
-    stretches: Vec<(u64, u64)>,
-    samples: u64,
-}
-
-impl FileClock {
-    /// Reads the file at `path` once.
-    fn read(path: &Path, given_hz: Option<f64>) -> Result<FileClock, RecordingError> {
-        let settings = RecordingSettings {
-            channels: vec![Channel::Index(0)],
-            sample_rate_hz: given_hz,
-            repetition: None,
-        };
-        let mut source = RecordingSource::open(path, &settings)?;
-        let mut stretches = vec![(0, 0)];
-        let mut frames = [0.0; FRAMES_AT_ONCE];
-        let mut lost_samples = 0;
-        let mut samples = 0;
-        while let Some((count, frame)) = source.next_frames(&mut frames)? {
-            let before = source.position() - count as u64;
-            if frame.samples_lost_before > 0 {
-                // A line without a sample has a number of its own.
-                lost_samples += frame.samples_lost_before.saturating_sub(before - samples);
-                stretches.push((before, before + lost_samples));
-            }
-            samples = source.position();
-        }
-        Ok(FileClock { sample_rate_hz: source.sample_rate_hz(), stretches, samples })
-    }
-
-    fn sample_at(&self, seconds: f64) -> u64 {
-        let elapsed = (seconds * self.sample_rate_hz).round() as u64;
-        let next = self.stretches.partition_point(|(_, start)| *start <= elapsed);
-        let (before, start) = self.stretches[next - 1];
-        let end = self.stretches.get(next).map_or(self.samples, |(before, _)| *before);
-        let sample = before + (elapsed - start);
-        // What lies within a gap begins or ends with it; what lies beyond the end is noticed when the file is cut.
-        if next < self.stretches.len() { sample.min(end) } else { sample }
-    }
 }
 
 /// Whose file it is, by its first label, and its labels.
@@ -181,70 +113,6 @@ pub fn read(
     skipped.extend(labels.renamed(&path));
     list_unlabelled(folder, &path, &labels.of_file, skipped);
     labels.into_files(skipped).map_err(|(line, problem)| wrong(line, problem))
-}
-
-/// A line's cells.
-struct Row {
-    file: String,
-    /// As it stands there.
-    person: String,
-    session: String,
-    repetition: u32,
-    gesture: String,
-    start: Place,
-    end: Option<Place>,
-}
-
-impl Row {
-    fn read(columns: &BTreeMap<&str, usize>, record: &csv::StringRecord) -> Result<Row, LabelsProblem> {
-        let cell = |column: &str| columns.get(column).and_then(|&index| record.get(index)).unwrap_or("");
-        let number = |column: &'static str, largest: u64| {
-            let text = cell(column);
-            text.parse()
-                .ok()
-                .filter(|&number: &u64| number <= largest)
-                .ok_or_else(|| LabelsProblem::NotANumber { column, text: text.to_owned(), largest })
-        };
-        let place = |sample: &'static str, seconds: &'static str| match (cell(sample), cell(seconds)) {
-            ("", "") => Ok(None),
-            ("", text) => {
-                let value = text
-                    .replace(',', ".")
-                    .parse()
-                    .ok()
-                    .filter(|value: &f64| value.is_finite() && *value >= 0.0);
-                let problem = || LabelsProblem::NoSeconds { column: seconds, text: text.to_owned() };
-                value.map(|value| Some(Place::Seconds(value))).ok_or_else(problem)
-            }
-            (_, "") => Ok(Some(Place::Sample(number(sample, u64::MAX)?))),
-            _ => Err(LabelsProblem::TwoPlaces { sample, seconds }),
-        };
-        if cell("file").is_empty() {
-            return Err(LabelsProblem::NoFile);
-        }
-        let repetition = number("repetition", u8::MAX.into())? as u32;
-        let start = place("start_sample", "start_s")?.unwrap_or(Place::Sample(0));
-        let end = place("end_sample", "end_s")?;
-        let is_reversed = match (start, end) {
-            (Place::Sample(start), Some(Place::Sample(end))) => end <= start,
-            (Place::Seconds(start), Some(Place::Seconds(end))) => end <= start,
-            _ => false,
-        };
-        if is_reversed {
-            let start = ["start_sample", "start_s"].map(cell).concat();
-            return Err(LabelsProblem::EndsBeforeStart { start });
-        }
-        let session = if cell("session").is_empty() { ONLY_SESSION } else { cell("session") };
-        Ok(Row {
-            file: cell("file").to_owned(),
-            person: cell("person").to_owned(),
-            session: session.to_owned(),
-            repetition,
-            gesture: cell("gesture").to_owned(),
-            start,
-            end,
-        })
-    }
 }
 
 /// The labels read so far, by file.
@@ -390,24 +258,6 @@ fn person_of_name(name: &str) -> Result<PersonId, NoPersonId> {
         let safe = words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("-");
         safe.parse().map_err(|_| error)
     })
-}
-
-/// Where each known column stands.
-fn columns_of(header: &csv::StringRecord) -> Result<BTreeMap<&'static str, usize>, LabelsProblem> {
-    let mut columns = BTreeMap::new();
-    for (index, name) in header.iter().enumerate() {
-        let mut known = COLUMNS.into_iter().chain(SECONDS);
-        let Some(known) = known.find(|known| name.eq_ignore_ascii_case(known)) else {
-            return Err(LabelsProblem::UnknownColumn { name: name.to_owned() });
-        };
-        if columns.insert(known, index).is_some() {
-            return Err(LabelsProblem::ColumnTwice(known));
-        }
-    }
-    match REQUIRED.into_iter().find(|required| !columns.contains_key(required)) {
-        Some(name) => Err(LabelsProblem::MissingColumn { name }),
-        None => Ok(columns),
-    }
 }
 
 /// The trials of a file, in order, and what lies between them.

@@ -44,5 +44,5 @@ pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, Simu
 pub use replay::{ReplayBlock, ReplayStream};
 pub use segment::{Notice, Segment, SkippedEntry, SkippedKind};
 pub use signals::{Cue, Gap, Signals, SignalsError, is_signals};
-pub use source::{Frame, RecordingSettings, RecordingSource, first_muscles, muscles};
+pub use source::{Frame, RecordingSettings, RecordingSource, first_muscles, muscles, unit_of_table};
 pub use table::{Channel, ColumnKind};

@@ -500,7 +500,7 @@ mod tests {
         let settings = RecordingSettings {
             channels: vec![Channel::Index(0)],
             sample_rate_hz: Some(2000.0),
-            repetition: None,
+            ..RecordingSettings::default()
         };
         // The disk may be full within a number, where the line still looks whole, and at its very beginning.
         for (rest, cut_lines) in [("1.25,1", 1), ("1.2", 1), ("", 0)] {

@@ -63,6 +63,13 @@ pub enum Notice {
         /// The column.
         column: String,
     },
+    /// The chosen columns of a table state different units, and are brought to that of the first.
+    UnitsDiffer {
+        /// The file.
+        file: PathBuf,
+        /// The unit that they are given in.
+        unit: String,
+    },
     /// Something about the time of a table.
     Time {
         /// The file.
@@ -173,11 +180,19 @@ impl fmt::Display for Notice {
             Notice::Labels { file, column } => {
                 write!(formatter, "{}: column `{column}` says which gestures were made", file.display())
             }
+            Notice::UnitsDiffer { file, unit } => {
+                write!(
+                    formatter,
+                    "{}: its columns have different units: all are converted to {unit}",
+                    file.display()
+                )
+            }
             Notice::Time { file, remark } => write!(formatter, "{}: {remark}", file.display()),
             Notice::Gaps { file, gaps, samples, line } => write!(
                 formatter,
-                "{}: {samples} samples are missing in {} (the first before line {line}): nothing is joined across",
+                "{}: {} missing in {} (the first before line {line}): nothing is joined across",
                 file.display(),
+                if *samples == 1 { "1 sample is".to_owned() } else { format!("{samples} samples are") },
                 places(*gaps)
             ),
             Notice::MissingSamples { file, lines, line } => write!(
@@ -212,7 +227,7 @@ impl fmt::Display for Notice {
             ),
             Notice::SamplesMissing { file, samples } => write!(
                 formatter,
-                "{}: {samples} samples are no finite number in one of the channels and are taken as missing",
+                "{}: {samples} samples are no finite number in one of the channels, or only fill a record up: they are taken as missing",
                 file.display()
             ),
             Notice::RateApproximated { from_hz, to_hz, up, down, error_ppm } => write!(

@@ -98,7 +98,7 @@ pub enum SignalsError {
 /// Whether a file's name is that of such a file.
 pub fn is_signals(path: &Path) -> bool {
     path.extension().is_some_and(|extension| {
-        ["edf", "bdf", "xdf"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+        ["edf", "bdf", "xdf", "xdfz"].iter().any(|known| extension.eq_ignore_ascii_case(known))
     })
 }
 
@@ -109,10 +109,16 @@ impl Signals {
     /// When it cannot be opened or understood, or lacks a channel.
     pub fn read(path: &Path, channels: &[Channel]) -> Result<Signals, RecordingError> {
         let file = MappedFile::open(path).map_err(RecordingError::open(path))?;
-        let is_xdf = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xdf"));
-        let read = if is_xdf { xdf::read } else { edf::read };
-        let signals = read(path, file.bytes(), channels).and_then(|signals| signals.without_missing(path));
-        signals.map_err(RecordingError::signals(path))
+        let is_called =
+            |ending: &str| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(ending));
+        let signals = if is_called("xdfz") {
+            xdf::unpacked(file.bytes()).and_then(|bytes| xdf::read(path, &bytes, channels))
+        } else if is_called("xdf") {
+            xdf::read(path, file.bytes(), channels)
+        } else {
+            edf::read(path, file.bytes(), channels)
+        };
+        signals.and_then(|signals| signals.without_missing(path)).map_err(RecordingError::signals(path))
     }
 
     /// Leaves out the samples that are no finite number in one of the chosen channels: they are missing.

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
+use tendon_signal::{UnitError, canonical_unit, unit_factor};
 
 use crate::column_labels;
 use crate::error::RecordingError;
@@ -12,7 +13,7 @@ use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
 use crate::signals::{Signals, is_signals};
-use crate::table::{self, Channel, ColumnKind, Row, Table, TableError, TimingRemark};
+use crate::table::{self, Channel, Column, ColumnKind, Row, Table, TableError, TimingRemark};
 use crate::three_dc;
 
 /// Most frames to read at once: enough to make the overhead negligible, few enough to stay in the fastest cache.
@@ -30,6 +31,9 @@ pub struct RecordingSettings {
     /// Of a 3DC folder, only this repetition; all in order if not given.
     #[serde(default)]
     pub repetition: Option<u32>,
+    /// Of a plain table, the column that says what was done; found by its name if not given.
+    #[serde(default)]
+    pub label_column: Option<Channel>,
 }
 
 /// What [`RecordingSource::next_frame`] says beside the samples.
@@ -77,8 +81,9 @@ struct Missing {
 /// Where the samples are.
 #[derive(Debug)]
 enum Samples {
-    /// In a text file, the one of the current segment, with the unit that it states.
-    Table { table: Table, text: Text, unit: String },
+    /// In a text file, the one of the current segment, with its unit, and what each chosen column is multiplied by to have
+    /// it; none if they all have it.
+    Table { table: Table, text: Text, unit: String, factors: Vec<f32> },
     /// In memory: the chosen channels, all of the same length.
     Columns(Columns),
 }
@@ -145,7 +150,7 @@ impl RecordingSource {
     /// |---|---|
     /// | a folder with files `3dc_EMG_gesture_R_G.txt` | these joined by R, then G; or only those of `settings.repetition` |
     /// | one such file | that gesture of that repetition |
-    /// | a file `.edf`, `.bdf` or `.xdf` | its [`Signals`], with the cues that its annotations or markers give |
+    /// | a file `.edf`, `.bdf`, `.xdf` or `.xdfz` | its [`Signals`], with the cues that its annotations or markers give |
     /// | any other `.csv`, `.tsv`, `.txt` | a plain table (see [`table`](crate::table)), with cues only if a column says what was done, at the rate that it tells, that a `session.toml` of Tendon beside it states, or `settings.sample_rate_hz` |
     ///
     /// # Errors
@@ -156,17 +161,23 @@ impl RecordingSource {
             if settings.repetition.is_some() {
                 return Err(RecordingError::RepetitionOfFile { file: path.to_owned() });
             }
+            if settings.label_column.is_some() {
+                return Err(RecordingError::OwnCues { path: path.to_owned() });
+            }
             return RecordingSource::of_signals(path, None, &settings.channels, settings.sample_rate_hz);
         }
         let mut notices = Vec::new();
         let segments = segments(path, settings, &mut notices)?;
         let given_hz = settings.sample_rate_hz;
         let mut source = if segments[0].repetition.is_some() {
+            if settings.label_column.is_some() {
+                return Err(RecordingError::OwnCues { path: path.to_owned() });
+            }
             let sample_rate_hz = sample_rate(path, Some(three_dc::SAMPLE_RATE_HZ), given_hz)?;
             let (text, _) = Text::open(&segments[0].file)?;
             let table = Table::open(text.bytes(), &settings.channels);
             let table = table.map_err(RecordingError::table(&segments[0].file))?;
-            let samples = Samples::Table { table, text, unit: String::new() };
+            let samples = Samples::Table { table, text, unit: String::new(), factors: Vec::new() };
             RecordingSource::of(samples, settings.channels.len(), segments, Vec::new(), sample_rate_hz)
         } else {
             let recorded_hz = RecordedSession::beside(path)?.map(|session| session.sample_rate_hz);
@@ -174,7 +185,12 @@ impl RecordingSource {
                 Some(_) => Some(sample_rate(path, recorded_hz, given_hz)?),
                 None => given_hz,
             };
-            RecordingSource::of_table(segments, &settings.channels, given_hz)?
+            RecordingSource::of_labelled_table(
+                segments,
+                &settings.channels,
+                given_hz,
+                settings.label_column.as_ref(),
+            )?
         };
         source.notices.splice(..0, notices);
         Ok(source)
@@ -187,9 +203,19 @@ impl RecordingSource {
     /// # Errors
     /// When the file cannot be opened, lacks a channel, or has no rate or another one.
     pub fn of_table(
+        segments: Vec<Segment>,
+        channels: &[Channel],
+        given_hz: Option<f64>,
+    ) -> Result<RecordingSource, RecordingError> {
+        RecordingSource::of_labelled_table(segments, channels, given_hz, None)
+    }
+
+    /// The same, divided by `label_column` if that is given.
+    fn of_labelled_table(
         mut segments: Vec<Segment>,
         channels: &[Channel],
         given_hz: Option<f64>,
+        label_column: Option<&Channel>,
     ) -> Result<RecordingSource, RecordingError> {
         let file = &segments[0].file.clone();
         let (text, notice) = Text::open(file)?;
@@ -197,27 +223,44 @@ impl RecordingSource {
         let mut table = Table::open(text.bytes(), channels).map_err(RecordingError::table(file))?;
         let mut own_hz = None;
         let mut unit = String::new();
+        let mut factors = Vec::new();
         // Of a recording that Tendon made, all columns are channels.
-        if !is_recorded(file) {
+        if label_column.is_some() || !is_recorded(file) {
             let columns = table::columns(text.bytes()).map_err(RecordingError::table(file))?;
+            let labels = label_column.map(|column| table::find(&columns, column)).transpose();
+            let labels = labels.map_err(RecordingError::table(file))?;
             let chosen = table.chosen_columns();
             let odd = chosen.iter().filter(|column| columns[**column].kind != ColumnKind::Muscle);
             notices.extend(odd.map(|column| {
                 let (name, kind) = (table.name(*column), columns[*column].kind);
                 Notice::NoMuscle { file: file.clone(), column: name, kind }
             }));
-            let units = chosen.iter().map(|column| &columns[*column].unit);
-            let common = units.clone().next().filter(|first| units.clone().all(|unit| unit == *first));
-            unit = common.cloned().unwrap_or_default();
+            (unit, factors) = common_unit(&columns, &chosen);
+            if !factors.is_empty() {
+                notices.push(Notice::UnitsDiffer { file: file.clone(), unit: unit.clone() });
+            }
             let is_undivided = matches!(&segments[..], [Segment { repetition: None, end_sample: None, .. }]);
-            if is_undivided
-                && let Some((column, labelled)) = column_labels::segments(file, text.bytes(), &columns)
-            {
-                notices.push(Notice::Labels { file: file.clone(), column });
-                segments = labelled;
+            if let Some(column) = labels.or(table::truth(&columns)).filter(|_| is_undivided) {
+                let name = table.name(column);
+                match column_labels::segments(file, text.bytes(), column) {
+                    Some(labelled) => {
+                        segments = labelled;
+                        notices.push(Notice::Labels { file: file.clone(), column: name });
+                    }
+                    None if labels.is_some() => {
+                        return Err(RecordingError::NoLabels { file: file.clone(), column: name });
+                    }
+                    None => {}
+                }
             }
             let timing = table.watch_time(text.bytes(), &columns).map_err(RecordingError::table(file))?;
-            own_hz = timing.rate_hz;
+            own_hz = timing.rate_hz.filter(|_| !given_hz.is_some_and(|given| timing.allows(given)));
+            if timing.rate_hz.is_none() && given_hz.is_none() && !timing.unclear_hz.is_empty() {
+                return Err(RecordingError::SampleRateUnclear {
+                    file: file.clone(),
+                    stated: timing.unclear_hz,
+                });
+            }
             let is_guess = matches!(timing.remark, Some(TimingRemark::TakenAsMilliseconds { .. }));
             if is_guess && given_hz.is_some() {
                 own_hz = None;
@@ -225,9 +268,8 @@ impl RecordingSource {
                 notices.push(Notice::Time { file: file.clone(), remark });
             }
         }
-        let is_given = |hz: f64| given_hz.is_some_and(|given| table::is_same_rate(given, hz));
-        let sample_rate_hz = sample_rate(file, own_hz.filter(|hz| !is_given(*hz)), given_hz)?;
-        let samples = Samples::Table { table, text, unit };
+        let sample_rate_hz = sample_rate(file, own_hz, given_hz)?;
+        let samples = Samples::Table { table, text, unit, factors };
         Ok(RecordingSource::of(samples, channels.len(), segments, notices, sample_rate_hz))
     }
 
@@ -341,6 +383,28 @@ impl RecordingSource {
         }
     }
 
+    /// Brings samples that are in the unit `from` to the unit `to`.
+    ///
+    /// # Errors
+    /// When one of them is no known unit of voltage.
+    pub fn convert(&mut self, from: &str, to: &str) -> Result<(), UnitError> {
+        let factor = unit_factor(from, to)? as f32;
+        match &mut self.samples {
+            Samples::Table { unit, factors, .. } => {
+                to.clone_into(unit);
+                if factors.is_empty() && factor != 1.0 {
+                    *factors = vec![1.0; self.channels];
+                }
+                factors.iter_mut().for_each(|own| *own *= factor);
+            }
+            Samples::Columns(Columns { samples, unit, .. }) => {
+                to.clone_into(unit);
+                samples.iter_mut().flatten().for_each(|sample| *sample *= factor);
+            }
+        }
+        Ok(())
+    }
+
     /// The chosen columns of the current file, in the order of a frame: by name where it gives one, else by number from 0.
     pub fn chosen(&self) -> Vec<String> {
         match &self.samples {
@@ -419,8 +483,8 @@ impl RecordingSource {
     /// Reads up to `wanted` rows of the file into `frames`, up to the first one before which samples are missing.
     fn read_rows(&mut self, frames: &mut [f32], wanted: usize) -> Rows {
         let mut rows = Rows { lines: 0, samples: 0, samples_lost_before: 0, problem: None };
-        let (table, text) = match &mut self.samples {
-            Samples::Table { table, text, .. } => (table, text),
+        let (table, text, factors) = match &mut self.samples {
+            Samples::Table { table, text, factors, .. } => (table, text, factors),
             Samples::Columns(Columns { samples: columns, .. }) => {
                 let position = self.position as usize;
                 let left = columns.first().map_or(0, |column| column.len() - position);
@@ -442,6 +506,7 @@ impl RecordingSource {
         while let Some(values) = frame.as_mut().filter(|_| rows.lines < wanted) {
             match table.next_row(text.bytes(), values) {
                 Ok(Row::Samples) => {
+                    values.iter_mut().zip(&*factors).for_each(|(value, factor)| *value *= factor);
                     if rows.samples == 0 {
                         rows.samples_lost_before = std::mem::take(&mut self.lost_samples);
                         missing.lines += std::mem::take(&mut missing.lines_since);
@@ -516,24 +581,62 @@ impl RecordingSource {
     }
 }
 
-/// The channels of the table at `path` that are muscles, as far as can be told; of a recording that Tendon made, all.
+/// The unit of chosen columns, and what each is multiplied by to have it: if they state different ones, that of the first.
+/// Nothing if they have it already, and no unit if they do not all have one that is known.
+fn common_unit(columns: &[Column], chosen: &[usize]) -> (String, Vec<f32>) {
+    let units = || chosen.iter().map(|column| columns[*column].unit.as_str());
+    let first = units().find(|unit| !unit.is_empty()).unwrap_or_default();
+    let is_first = |unit: &str| canonical_unit(unit) == canonical_unit(first);
+    if units().all(is_first) {
+        return (first.to_owned(), Vec::new());
+    }
+    if units().all(|unit| unit.is_empty() || is_first(unit)) {
+        return (String::new(), Vec::new());
+    }
+    // A column without a unit is taken to have that of the first.
+    let factor = |unit: &str| if unit.is_empty() { Ok(1.0) } else { unit_factor(unit, first) };
+    let factors: Result<Vec<f64>, UnitError> = units().map(factor).collect();
+    factors.map_or_else(
+        |_| (String::new(), Vec::new()),
+        |factors| (first.to_owned(), factors.into_iter().map(|factor| factor as f32).collect()),
+    )
+}
+
+/// The unit in which [`RecordingSource::of_table`] gives `channels` of the table at `path`; empty if it states none for them.
+///
+/// # Errors
+/// When it cannot be opened, is no table, or lacks a channel.
+pub fn unit_of_table(path: &Path, channels: &[Channel]) -> Result<String, RecordingError> {
+    let (text, _) = Text::open(path)?;
+    let table = Table::open(text.bytes(), channels).map_err(RecordingError::table(path))?;
+    let columns = table::columns(text.bytes()).map_err(RecordingError::table(path))?;
+    Ok(common_unit(&columns, &table.chosen_columns()).0)
+}
+
+/// The channels of the table at `path` that are muscles, as far as can be told; of a recording that Tendon made, all. The column
+/// of labels, if one is given and there, is none.
 ///
 /// # Errors
 /// When it cannot be opened or is no table.
-pub fn muscles(path: &Path) -> Result<Vec<Channel>, RecordingError> {
-    muscles_of(path, table::muscles)
+pub fn muscles(path: &Path, label_column: Option<&Channel>) -> Result<Vec<Channel>, RecordingError> {
+    muscles_of(path, label_column, table::muscles)
 }
 
-/// The first `count` channels of the table at `path` that are muscles.
+/// The first `count` channels of the table at `path` that are muscles, as for [`muscles`].
 ///
 /// # Errors
-/// When it cannot be opened, is no table, or has too few.
-pub fn first_muscles(path: &Path, count: usize) -> Result<Vec<Channel>, RecordingError> {
-    muscles_of(path, |columns| table::first_muscles(columns, count))
+/// As for [`muscles`], or when there are too few.
+pub fn first_muscles(
+    path: &Path,
+    count: usize,
+    label_column: Option<&Channel>,
+) -> Result<Vec<Channel>, RecordingError> {
+    muscles_of(path, label_column, |columns| table::first_muscles(columns, count))
 }
 
 fn muscles_of(
     path: &Path,
+    label_column: Option<&Channel>,
     choose: impl FnOnce(&[table::Column]) -> Result<Vec<Channel>, TableError>,
 ) -> Result<Vec<Channel>, RecordingError> {
     if is_signals(path) {
@@ -550,6 +653,9 @@ fn muscles_of(
     let columns = table::columns(text.bytes()).and_then(|mut columns| {
         if is_recorded(path) {
             columns.iter_mut().for_each(|column| column.kind = ColumnKind::Muscle);
+        }
+        if let Some(Ok(place)) = label_column.map(|labels| table::find(&columns, labels)) {
+            columns[place].kind = ColumnKind::Label;
         }
         choose(&columns)
     });

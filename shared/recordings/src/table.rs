@@ -16,6 +16,8 @@
 //! A [`Table`] is only a place in a text: the text itself is handed to each call, so that a memory map, a
 //! slice in a test and a fuzzer's bytes are read by the same code.
 
+use std::collections::VecDeque;
+
 mod cells;
 mod channel;
 mod choice;
@@ -28,17 +30,16 @@ mod timing;
 
 pub use channel::Channel;
 pub(crate) use channel::places;
-pub(crate) use choice::{cells_of_column, columns_by_name, truth};
+pub(crate) use choice::{cells_of_column, columns_by_name, find, truth};
 pub use choice::{columns, first_muscles, muscles};
 pub use column::{Column, ColumnKind};
 pub use problem::{Rate, TableError, TableProblem};
-pub(crate) use timing::is_same_rate;
 pub use timing::{Timing, TimingRemark};
 
 use cells::{
-    Cells, Line, Separator, excerpt, is_missing, is_text, line_at, number, sample, text_start, unusual_sample,
+    Cells, Line, Separator, excerpt, is_missing, is_text, line_at, sample, text_start, unusual_sample,
 };
-use clock::Clock;
+use clock::Gap;
 use head::Head;
 use problem::error_at;
 
@@ -65,13 +66,16 @@ pub struct Table {
     /// For each column its place in a frame, if chosen.
     places: Vec<Option<usize>>,
     chosen: usize,
-    clock: Option<Clock>,
-    /// Whether the samples missing before the next line were told.
-    is_gap_told: bool,
+    /// Where samples are missing, by the column of time or a counter, as far as it was not told.
+    gaps: VecDeque<Gap>,
     /// Where the next line starts, in bytes.
     position: usize,
     /// Lines read so far.
     line: u64,
+    /// Those of them before the first line of samples.
+    lines_of_head: u64,
+    /// Rates in the head that are none of EMG, or of which there are several.
+    unclear_rates_hz: Vec<f64>,
 }
 
 impl Table {
@@ -81,7 +85,7 @@ impl Table {
     /// # Errors
     /// When there is no line of numbers, or a chosen channel is not there, each with its place.
     pub fn open(text: &[u8], channels: &[Channel]) -> Result<Table, TableError> {
-        let Head { separator, columns, names, position, lines, .. } = Head::find(text)?;
+        let Head { separator, columns, names, position, lines, unclear_rates_hz, .. } = Head::find(text)?;
         let places = places(channels, columns, &names)?;
         let has_comma = separator != Separator::Byte(b',') && !has_decimal_point(text, position);
         Ok(Table {
@@ -90,10 +94,11 @@ impl Table {
             names,
             places,
             chosen: channels.len(),
-            clock: None,
-            is_gap_told: false,
+            gaps: VecDeque::new(),
             position,
             line: lines,
+            lines_of_head: lines,
+            unclear_rates_hz,
         })
     }
 
@@ -108,9 +113,8 @@ impl Table {
             return Err(error_at(1, 1, TableProblem::Empty));
         }
         self.line = 0;
-        if let Some(clock) = &mut self.clock {
-            clock.restart();
-        }
+        self.gaps.clear();
+        self.lines_of_head = 0;
         Ok(())
     }
 
@@ -167,8 +171,11 @@ impl Table {
     #[inline]
     pub fn next_row(&mut self, text: &[u8], frame: &mut [f32]) -> Result<Row, TableError> {
         assert_eq!(frame.len(), self.chosen, "a frame holds one value for each chosen channel");
+        let rows = self.line - self.lines_of_head;
+        if let Some(gap) = self.gaps.pop_front_if(|gap| gap.rows_before == rows) {
+            return Ok(Row::Gap(gap.samples));
+        }
         if let Separator::Byte(separator) = self.separator
-            && self.clock.is_none()
             && let Some(next) = counts::read_line(text, self.position, separator, &self.places, frame)
         {
             self.position = next;
@@ -176,15 +183,15 @@ impl Table {
             return Ok(Row::Samples);
         }
         let Some(line) = line_at(text, self.position) else { return Ok(Row::End) };
-        let parsed = match self.parse(line.content, frame) {
-            Ok(parsed) => parsed,
+        let lacks_sample = match self.parse(line.content, frame) {
+            Ok(lacks_sample) => lacks_sample,
             Err(_) if line.content.trim_ascii().is_empty() && text[line.next..].trim_ascii().is_empty() => {
                 self.position = text.len();
                 return Ok(Row::End);
             }
             Err(column) => return Err(self.explain(&line, column)),
         };
-        if parsed.is_missing {
+        if lacks_sample {
             if line.content.trim_ascii().is_empty() && text[line.next..].trim_ascii().is_empty() {
                 self.position = text.len();
                 return Ok(Row::End);
@@ -195,42 +202,29 @@ impl Table {
                 return Err(self.explain(&line, self.places.len() - 1));
             }
         }
-        if let Some(clock) = &mut self.clock {
-            let lost = clock.lost_before(parsed.time);
-            if lost > 0 && !self.is_gap_told {
-                self.is_gap_told = true;
-                return Ok(Row::Gap(lost));
-            }
-            self.is_gap_told = false;
-            clock.advance(parsed.time);
-        }
         self.position = line.next;
         self.line += 1;
-        Ok(if parsed.is_missing { Row::Missing } else { Row::Samples })
+        Ok(if lacks_sample { Row::Missing } else { Row::Samples })
     }
 
-    /// Parses one line; where that fails, the column (from 0) it fails at.
+    /// Parses one line: whether a chosen cell has no sample; where that fails, the column (from 0) it fails at.
     #[inline]
-    fn parse(&self, line: &[u8], frame: &mut [f32]) -> Result<Parsed, usize> {
+    fn parse(&self, line: &[u8], frame: &mut [f32]) -> Result<bool, usize> {
         let mut columns = 0;
-        let mut parsed = Parsed { is_missing: false, time: f64::NAN };
-        let clock = self.clock.as_ref().map_or(usize::MAX, |clock| clock.column);
+        let mut lacks_sample = false;
         for cell in Cells::of(line, self.separator) {
             match self.places.get(columns) {
                 Some(None) => {}
                 Some(&Some(place)) => match sample(cell) {
                     Some(sample) => frame[place] = sample,
-                    None if is_missing(cell) => parsed.is_missing = true,
+                    None if is_missing(cell) => lacks_sample = true,
                     None => frame[place] = unusual_sample(cell, self.has_comma).ok_or(columns)?,
                 },
                 None => return Err(columns),
             }
-            if columns == clock {
-                parsed.time = number(cell, self.has_comma).unwrap_or(f64::NAN);
-            }
             columns += 1;
         }
-        if columns == self.places.len() { Ok(parsed) } else { Err(columns) }
+        if columns == self.places.len() { Ok(lacks_sample) } else { Err(columns) }
     }
 
     /// Why a line could not be parsed beyond `column` (from 0).
@@ -265,14 +259,6 @@ impl Table {
         };
         error_at(number, column + 1, problem)
     }
-}
-
-/// What a line holds beside its samples.
-struct Parsed {
-    /// Whether a chosen cell has no sample.
-    is_missing: bool,
-    /// What the column of the clock says; NaN where it says nothing.
-    time: f64,
 }
 
 /// Whether one of the first rows has a number with a decimal point: then a comma is no decimal sign.

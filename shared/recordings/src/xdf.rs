@@ -1,4 +1,4 @@
-//! XDF, as LabRecorder writes streams of the Lab Streaming Layer.
+//! XDF, as LabRecorder writes streams of the Lab Streaming Layer; compressed by gzip it is called `.xdfz`.
 //!
 //! ```text
 //! XDF:  then chunks: length, tag, content
@@ -17,8 +17,10 @@ mod chunks;
 mod clock;
 mod stream;
 
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
+use flate2::bufread::MultiGzDecoder;
 use tendon_signal::unit_factor;
 
 use crate::segment::Notice;
@@ -28,6 +30,27 @@ use crate::table::Channel;
 use chunks::Contents;
 use clock::{Clock, Stretch, stretches};
 use stream::{Samples, Stream};
+
+/// The content of a file `.xdfz`, which is compressed by gzip; of one that was cut off what comes before.
+///
+/// # Errors
+/// When it is no such file, is damaged, or holds more than 8 GiB.
+pub fn unpacked(bytes: &[u8]) -> Result<Vec<u8>, SignalsError> {
+    const LARGEST: u64 = 8 << 30;
+    let mut content = Vec::new();
+    let read = MultiGzDecoder::new(bytes).take(LARGEST + 1).read_to_end(&mut content);
+    match read {
+        Err(error) if error.kind() != ErrorKind::UnexpectedEof => Err(if content.is_empty() {
+            SignalsError::OtherKind("XDF compressed by gzip")
+        } else {
+            SignalsError::Damaged(format!("it cannot be unpacked ({error})"))
+        }),
+        _ if content.len() as u64 > LARGEST => {
+            Err(SignalsError::Damaged("unpacked, it would have more than 8 GiB".to_owned()))
+        }
+        _ => Ok(content),
+    }
+}
 
 /// Reads the file `path` with the content `bytes`: these channels of one stream, by name or number.
 ///
@@ -53,14 +76,9 @@ pub fn read(path: &Path, bytes: &[u8], channels: &[Channel]) -> Result<Signals, 
     for (column, factor) in columns.iter_mut().zip(factors) {
         column.iter_mut().for_each(|value| *value = (f64::from(*value) * factor) as f32);
     }
-    let stretches = stretches(
-        stamps_s,
-        &stamps.own,
-        stream.rate_hz,
-        stream.can_drop_samples,
-        &Clock::of(stream, &contents),
-    );
-    let sample_rate_hz = true_rate(stream.rate_hz, &stretches);
+    let clock = Clock::of(stream, &contents);
+    let stretches = stretches(stamps_s, &stamps.own, stream.rate_hz, stream.can_drop_samples, &clock);
+    let sample_rate_hz = true_rate(stream.rate_hz, &stretches, stamps_s, &clock);
     let gaps = gaps(&stretches, sample_rate_hz);
     let mut cues: Vec<Cue> = contents
         .streams
@@ -126,19 +144,20 @@ fn without_stream(stream: &Stream, channels: &[Channel]) -> Vec<Channel> {
 }
 
 /// The stated rate, unless the stamps say that it is another one.
-fn true_rate(stated_hz: f64, stretches: &[Stretch]) -> f64 {
+fn true_rate(stated_hz: f64, stretches: &[Stretch], stamps_s: &[f64], clock: &Clock) -> f64 {
     /// So far a clock may be off.
     const TOLERANCE: f64 = 0.01;
     /// With fewer, stamps say nothing about it.
     const ENOUGH_SAMPLES: u64 = 1000;
-    let longest = stretches.iter().max_by_key(|stretch| stretch.samples);
-    match longest {
-        Some(Stretch { samples, period_s, .. })
-            if *samples >= ENOUGH_SAMPLES && (period_s * stated_hz - 1.0).abs() > TOLERANCE =>
-        {
-            1.0 / period_s
-        }
-        _ => stated_hz,
+    let is_other = |period_s: f64, rate_hz: f64| (period_s * rate_hz - 1.0).abs() > TOLERANCE;
+    let longest = stretches.iter().filter(|stretch| stretch.samples >= ENOUGH_SAMPLES);
+    let Some(longest) = longest.max_by_key(|stretch| stretch.samples) else { return stated_hz };
+    // A jump that is too short to divide the samples bends the line, but not this.
+    let usual_s = longest.usual_period_s(stamps_s, clock);
+    match is_other(usual_s, stated_hz) {
+        false => stated_hz,
+        true if is_other(usual_s, 1.0 / longest.period_s) => 1.0 / usual_s,
+        true => 1.0 / longest.period_s,
     }
 }
 
@@ -274,6 +293,45 @@ mod tests {
         let cut = open(&whole[..whole.len() - foot.len()], &[0.into()]).unwrap();
         let read = "2.0 s of A".to_owned();
         assert_eq!(cut.notices[1..], [Notice::CutOff { file: "a.xdf".into(), read }]);
+    }
+
+    #[test]
+    fn a_compressed_file_holds_the_same_and_is_read_up_to_where_it_was_cut_off() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.xdfz");
+        let read = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            Signals::read(&path, &["flexor".into()]).map_err(|error| error.to_string())
+        };
+        let mut packed = Vec::new();
+        let mut encoder = flate2::write::GzEncoder::new(&mut packed, flate2::Compression::fast());
+        std::io::Write::write_all(&mut encoder, STREAMS).unwrap();
+        encoder.finish().unwrap();
+        let whole = open(STREAMS, &["flexor".into()]).unwrap();
+        assert_eq!(read(&packed).unwrap(), whole);
+        let cut = read(&packed[..packed.len() * 9 / 10]).unwrap();
+        assert!(whole.columns[0].starts_with(&cut.columns[0]) && cut.columns[0].len() > 100);
+        assert!(matches!(cut.notices[..], [Notice::CutOff { .. }]), "{:?}", cut.notices);
+        assert!(
+            read(STREAMS).unwrap_err().contains("of the kind that its name says (XDF compressed by gzip)")
+        );
+        packed[300..400].fill(0xFF);
+        assert!(read(&packed).unwrap_err().contains("is damaged"));
+    }
+
+    #[test]
+    fn a_jump_in_the_stamps_is_none_of_the_rate() {
+        let head = head(7, "A", "EMG", 1000.0, "float32", "");
+        // Every sample with a stamp; 0.3 s are lost in the middle.
+        let stamp_s = |row: usize, period_s: f64| row as f64 * period_s + if row < 7000 { 0.0 } else { 0.3 };
+        let rate_hz = |period_s: f64| {
+            let chunks = (0..15_000).map(|row| samples(7, stamp_s(row, period_s), &[1.0]));
+            let whole =
+                file(&[vec![head.clone()], chunks.collect(), vec![of_stream(6, 7, b"<info/>")]].concat());
+            open(&whole, &[0.into()]).unwrap().sample_rate_hz
+        };
+        assert_eq!(rate_hz(0.001), 1000.0);
+        assert!((rate_hz(0.00125) / 800.0 - 1.0).abs() < 1e-3, "{}", rate_hz(0.00125));
     }
 
     #[test]

@@ -17,7 +17,7 @@ use tendon_recordings::{
 
 fn settings(channels: &[usize], sample_rate_hz: Option<f64>) -> RecordingSettings {
     let channels = channels.iter().copied().map(Channel::Index).collect();
-    RecordingSettings { channels, sample_rate_hz, repetition: None }
+    RecordingSettings { channels, sample_rate_hz, ..RecordingSettings::default() }
 }
 
 /// A 3DC folder `Participant7/train/EMG`; sample n of gesture G in repetition R is `1000 R + 100 G + n` in both
@@ -299,7 +299,7 @@ fn files_that_describe_themselves_are_opened_by_their_names() {
     let with = |channels: &[&str], sample_rate_hz| RecordingSettings {
         channels: channels.iter().map(|name| Channel::from(*name)).collect(),
         sample_rate_hz,
-        repetition: None,
+        ..RecordingSettings::default()
     };
     let bdf = check(&golden("delsys.bdf"), &with(&["EMG extensor", "EMG flexor"], Some(1926.0))).unwrap();
     assert_eq!((bdf.samples, bdf.file_channels, bdf.unit.as_str()), (1040, 2, "uV"));
@@ -412,7 +412,7 @@ fn runs_of_null_are_gaps_that_a_notice_counts() {
         let by_name = RecordingSettings {
             channels: vec!["EMG_zyg".into(), "EMG_cor".into()],
             sample_rate_hz: Some(2000.0),
-            repetition: None,
+            ..RecordingSettings::default()
         };
         let text = fs::read_to_string(&path).unwrap();
         let first_null = text.lines().position(|line| line.contains("NULL"));

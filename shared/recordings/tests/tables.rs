@@ -2,14 +2,14 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests, as tests, may fail")]
 
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
 use tempfile::TempDir;
 use tendon_gesture::Gesture;
 use tendon_recordings::{
-    Channel, ColumnKind, Notice, RecordingError, RecordingSettings, ReplayStream, Summary, check,
-    first_muscles,
+    Channel, ColumnKind, Notice, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary,
+    check, first_muscles,
 };
 
 /// The same in every run, without a trend: EMG, as far as a table is concerned.
@@ -37,7 +37,7 @@ fn file(name: &str, text: &str) -> (TempDir, PathBuf) {
 /// What is read when nobody says which four channels, or at which rate.
 fn read_unasked(text: &str) -> Result<Summary, RecordingError> {
     let (_folder, path) = file("emg.csv", text);
-    let channels = first_muscles(&path, 4)?;
+    let channels = first_muscles(&path, 4, None)?;
     check(&path, &RecordingSettings { channels, ..RecordingSettings::default() })
 }
 
@@ -86,9 +86,9 @@ fn a_rate_that_is_given_must_be_that_of_the_column_of_time() {
         + &rows(100, |row| format!("{:.3},{}", row as f64 / 1000.0, samples(row, 4, ",")));
     let (_folder, path) = file("emg.csv", &text);
     let settings = |hz| RecordingSettings {
-        channels: first_muscles(&path, 4).unwrap(),
+        channels: first_muscles(&path, 4, None).unwrap(),
         sample_rate_hz: Some(hz),
-        repetition: None,
+        ..RecordingSettings::default()
     };
     let refused = check(&path, &settings(2000.0)).unwrap_err().to_string();
     assert!(refused.contains("sampled at 1000 Hz") && refused.contains("= 2000"), "{refused}");
@@ -144,9 +144,11 @@ fn what_the_programs_of_amplifiers_export_is_read() {
 
     let units = "EMG1,EMG2,EMG3,EMG4\nmV,mV,mV,mV\n".to_owned() + &rows(50, |row| samples(row, 4, ","));
     let (_folder, path) = file("emg.csv", &units);
-    let channels = first_muscles(&path, 4).unwrap();
-    let summary =
-        check(&path, &RecordingSettings { channels, sample_rate_hz: Some(1000.0), repetition: None });
+    let channels = first_muscles(&path, 4, None).unwrap();
+    let summary = check(
+        &path,
+        &RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() },
+    );
     assert_eq!(summary.unwrap().unit, "mV");
 }
 
@@ -207,7 +209,117 @@ fn heads_as_people_write_them_are_read() {
     let indexed =
         "EMG_a EMG_b EMG_c EMG_d\n".to_owned() + &rows(200, |row| format!("{row} {}", samples(row, 4, " ")));
     let (_folder, path) = file("emg.txt", &indexed);
-    assert_eq!(first_muscles(&path, 4).unwrap(), ABCD.map(Channel::from));
+    assert_eq!(first_muscles(&path, 4, None).unwrap(), ABCD.map(Channel::from));
+}
+
+#[test]
+fn heads_of_opensignals_acqknowledge_labchart_and_noraxon_are_read() {
+    let open_signals = "# OpenSignals Text File Format. Version 1\n# {\"20:17\": {\"sensor\": [\"EMG\", \"EMG\", \"EMG\", \"EMG\"], \
+        \"column\": [\"nSeq\", \"I1\", \"I2\", \"O1\", \"O2\", \"A1\", \"A2\", \"A3\", \"A4\"], \"sync interval\": 2, \
+        \"sampling rate\": 1000, \"resolution\": [4, 1, 1, 1, 1, 10, 10, 10, 10]}}\n# EndOfHeader\n"
+        .to_owned()
+        + &rows(500, |row| format!("{}\t1\t1\t0\t0\t{}\t", row % 16, samples(row, 4, "\t")));
+    assert_eq!(assert_read(&open_signals, ["A1", "A2", "A3", "A4"], 1000.0, 500, ""), []);
+
+    // Below the names: how many samples each channel has.
+    let biopac = "emg.acq\n0.5 msec/sample\n4 channels\nmsec,CH1,CH2,CH3,CH4\n,500,500,500,500\n".to_owned()
+        + &rows(500, |row| format!("{},{},", row as f64 / 2.0, samples(row, 4, ",")));
+    assert_eq!(assert_read(&biopac, ["CH1", "CH2", "CH3", "CH4"], 2000.0, 500, ""), []);
+
+    let lab_chart = "Interval=\t0.0005 s\nTimeFormat=\tStartOfBlock\nChannelTitle=\tEMG1\tEMG2\tEMG3\tEMG4\n\
+        Range=\t10.000 mV\t10.000 mV\t10.000 mV\t10.000 mV\n"
+        .to_owned()
+        + &rows(500, |row| format!("{:.4}\t{}", row as f64 / 2000.0, samples(row, 4, "\t")));
+    assert_eq!(assert_read(&lab_chart, ["EMG1", "EMG2", "EMG3", "EMG4"], 2000.0, 500, "mV"), []);
+
+    let muscles = ["LT BICEPS BR.,uV", "RT BICEPS BR.,uV", "LT TRICEPS,uV", "RT TRICEPS,uV"];
+    let noraxon = format!("\"time,s\",Activity,\"{}\"\n", muscles.join("\",\""))
+        + &rows(500, |row| format!("{:.4},,{}", row as f64 / 2000.0, samples(row, 4, ",")));
+    assert_eq!(assert_read(&noraxon, muscles, 2000.0, 500, "uV"), []);
+
+    // pandas numbers columns without names.
+    let pandas =
+        "time,0,1,2,3\n".replace("time", "") + &rows(500, |row| format!("{row},{}", samples(row, 4, ",")));
+    let (_folder, path) = file("emg.csv", &pandas);
+    assert_eq!(first_muscles(&path, 4, None).unwrap(), [1, 2, 3, 4].map(Channel::Index));
+    let settings = RecordingSettings {
+        channels: vec![Channel::Index(1)],
+        sample_rate_hz: Some(1000.0),
+        ..RecordingSettings::default()
+    };
+    assert_eq!(check(&path, &settings).unwrap().samples, 500);
+}
+
+#[test]
+fn times_of_day_are_a_clock_and_one_that_cannot_be_read_hides_none() {
+    let time = |row: usize| row as f64 / 2000.0;
+    let header = format!("time,{}\n", ABCD.join(","));
+    let day = header.clone()
+        + &rows(500, |row| format!("2024-03-01T10:00:{:09.6},{}", time(row), samples(row, 4, ",")));
+    assert_eq!(assert_read(&day, ABCD, 2000.0, 500, ""), []);
+    let clock = header + &rows(500, |row| format!("00:00:{:09.6},{}", time(row), samples(row, 4, ",")));
+    assert_eq!(assert_read(&clock, ABCD, 2000.0, 500, ""), []);
+    let both = format!("timestamp,datetime,{}\n", ABCD.join(","))
+        + &rows(500, |row| format!("{:.4},1 March,{}", time(row), samples(row, 4, ",")));
+    assert_eq!(assert_read(&both, ABCD, 2000.0, 500, ""), []);
+}
+
+#[test]
+fn rates_that_cannot_be_taken_are_named_where_nothing_else_tells() {
+    let text =
+        "Sampling rate: 2 Hz\nEMG_a,EMG_b,EMG_c,EMG_d\n".to_owned() + &rows(100, |row| samples(row, 4, ","));
+    let refused = read_unasked(&text).unwrap_err().to_string();
+    assert!(refused.contains("states 2 Hz") && refused.contains("give sample_rate_hz"), "{refused}");
+}
+
+#[test]
+fn what_holds_no_number_is_said_with_what_stands_there() {
+    let comments = "# a word\n".repeat(1100) + &rows(50, |row| samples(row, 4, ","));
+    for (text, place, words) in [
+        ("a,b,c,d\n".to_owned() + &"NaN,NaN,NaN,NaN\n".repeat(50), "line 51", "`NaN,NaN"),
+        ("a,b,c,d\n".to_owned() + &"0x10,0x20,0x03,0x04\n".repeat(50), "line 51", "`0x10,0x20"),
+        (comments, "line 1001", "`# a word`"),
+    ] {
+        let refused = read_unasked(&text).unwrap_err().to_string();
+        assert!(refused.contains(place) && refused.contains(words), "{refused}");
+    }
+}
+
+#[test]
+fn names_in_latin_1_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("emg.csv");
+    let text = "f\u{fc}r (\u{b5}V);b;c;d\n".to_owned() + &rows(50, |row| samples(row, 4, ";"));
+    std::fs::write(&path, text.chars().map(|character| character as u8).collect::<Vec<u8>>()).unwrap();
+    let channels = first_muscles(&path, 1, None).unwrap();
+    let settings =
+        RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
+    let summary = check(&path, &settings).unwrap();
+    assert_eq!((summary.channels, summary.unit.as_str()), (vec!["f\u{fc}r (\u{b5}V)".to_owned()], "\u{b5}V"));
+}
+
+#[test]
+fn columns_of_different_units_are_brought_to_that_of_the_first() {
+    let text = "a (mV),b (uV),c [V],d (mV)\n".to_owned()
+        + &rows(50, |row| {
+            let value = emg(row, 0);
+            format!("{value},{},{},{value}", value * 1e3, value * 1e-3)
+        });
+    let (_folder, path) = file("emg.csv", &text);
+    let channels = first_muscles(&path, 4, None).unwrap();
+    let settings =
+        RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
+    let summary = check(&path, &settings).unwrap();
+    assert_eq!(summary.unit, "mV");
+    assert!(summary.notices[0].to_string().contains("all are converted to mV"), "{}", summary.notices[0]);
+    let mut stream = ReplayStream::open(&path, &settings, 1000.0, 10).unwrap();
+    let mut block = [0.0; 40];
+    stream.next_block(&mut block).unwrap().unwrap();
+    // Channel by channel.
+    for (at, sample) in block.iter().enumerate() {
+        let expected = emg(at % 10, 0);
+        assert!((f64::from(*sample) - expected).abs() < 1e-4, "{at}: {sample}, {expected}");
+    }
 }
 
 #[test]
@@ -221,7 +333,7 @@ fn a_gap_in_time_and_missing_cells_are_gaps_that_no_block_spans() {
     let present = (0..1000).filter(|row| !(600..700).contains(row));
     let text = format!("Time,{}\n", ABCD.join(",")) + &present.map(row).collect::<String>();
     let (_folder, path) = file("emg.csv", &text);
-    let channels = first_muscles(&path, 4).unwrap();
+    let channels = first_muscles(&path, 4, None).unwrap();
     let settings = RecordingSettings { channels, ..RecordingSettings::default() };
     let summary = check(&path, &settings).unwrap();
     assert_eq!(summary.samples, 899);
@@ -256,14 +368,15 @@ fn a_column_that_is_no_muscle_is_taken_only_when_asked_for_and_then_with_a_word(
     assert!(matches!(&notices[..], [Notice::Labels { column, .. }] if column == "gesture"), "{notices:?}");
     let (_folder, path) = file("emg.csv", &text);
     let channels = [0, 1].map(Channel::Index).to_vec();
-    let settings = RecordingSettings { channels, sample_rate_hz: Some(1000.0), repetition: None };
+    let settings =
+        RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
     let summary = check(&path, &settings).unwrap();
     assert_eq!(summary.channels, ["t_s", "ch1"]);
     let expected = Notice::NoMuscle { file: path.clone(), column: "t_s".into(), kind: ColumnKind::Time };
     assert_eq!(summary.notices[0], expected);
     let cues: Vec<_> = summary.cues.iter().map(|span| (span.segment.cue, span.samples)).collect();
     assert_eq!(cues, [(Some(Gesture::REST), 300), (Some(Gesture::GRIP), 200)]);
-    let refused = first_muscles(&path, 5).unwrap_err().to_string();
+    let refused = first_muscles(&path, 5, None).unwrap_err().to_string();
     assert!(refused.contains("4 columns look like them") && refused.contains("gesture: labels"), "{refused}");
 }
 
@@ -273,6 +386,50 @@ fn what_is_named_like_a_muscle_and_rises_like_time_is_refused() {
         + &rows(500, |row| format!("{:.3},{}", row as f64 / 1000.0, samples(row, 3, ",")));
     let refused = read_unasked(&text).unwrap_err().to_string();
     assert!(refused.contains("`EMG1` is named like a muscle, but rises evenly"), "{refused}");
+}
+
+#[test]
+fn any_column_says_what_was_done_if_asked_and_is_then_no_muscle() {
+    let state = |row: usize| ["0", "3", "", "0"][row / 200];
+    let text = "EMG_a,EMG_b,state,EMG_c,EMG_d\n".to_owned()
+        + &rows(800, |row| format!("{},{},{}", samples(row, 2, ","), state(row), samples(row + 7, 2, ",")));
+    let (folder, path) = file("emg.csv", &text);
+    for column in [Channel::from("state"), Channel::from(2)] {
+        let channels = first_muscles(&path, 4, Some(&column)).unwrap();
+        assert_eq!(channels, ABCD.map(Channel::from));
+        let settings = RecordingSettings {
+            channels,
+            sample_rate_hz: Some(1000.0),
+            label_column: Some(column),
+            ..RecordingSettings::default()
+        };
+        let source = RecordingSource::open(&path, &settings).unwrap();
+        let trials = source.segments().iter().map(|part| (part.end_sample, part.repetition, part.cue));
+        let gesture: Gesture = "gesture-3".parse().unwrap();
+        let expected = [
+            (Some(200), Some(0), Some(Gesture::REST)),
+            (Some(400), Some(0), Some(gesture)),
+            (Some(600), None, None),
+            (None, Some(1), Some(Gesture::REST)),
+        ];
+        assert_eq!(trials.collect::<Vec<_>>(), expected);
+    }
+    let refused = |path: &Path, label_column: &str| {
+        let settings = RecordingSettings {
+            channels: vec![0.into()],
+            sample_rate_hz: Some(1000.0),
+            label_column: Some(label_column.into()),
+            ..RecordingSettings::default()
+        };
+        RecordingSource::open(path, &settings).unwrap_err().to_string()
+    };
+    assert!(refused(&path, "States").contains("no channel named `States`: choose among EMG_a"));
+    assert!(refused(&path, "EMG_b").contains("column `EMG_b` names no gesture"));
+    let three_dc = folder.path().join("3dc_EMG_gesture_0_1.txt");
+    std::fs::write(&three_dc, "1,2,3\n").unwrap();
+    assert!(refused(&three_dc, "state").contains("has cues of its own: leave out label_column"));
+    let edf = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/delsys.bdf");
+    assert!(refused(&edf, "state").contains("has cues of its own"));
 }
 
 #[test]
@@ -291,9 +448,10 @@ fn a_channel_that_never_changes_is_named_at_any_value() {
         let text = rows(500, |row| format!("{},{value},{}", samples(row, 2, ","), samples(row, 1, ",")));
         let (_folder, path) = file("emg.csv", &text);
         let channels = (0..4).map(Channel::Index).collect();
-        let settings = RecordingSettings { channels, sample_rate_hz: Some(1000.0), repetition: None };
+        let settings =
+            RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
         let notices = check(&path, &settings).unwrap().notices;
-        let [notice] = &notices[..] else { panic!("{notices:?}") };
+        let notice = notices.last().unwrap();
         assert!(notice.to_string().contains("channel 2 was constant"), "{notice}");
     }
 }
@@ -305,7 +463,7 @@ fn a_column_without_any_sample_is_refused() {
     let settings = RecordingSettings {
         channels: [0, 1].map(Channel::Index).to_vec(),
         sample_rate_hz: Some(1000.0),
-        repetition: None,
+        ..RecordingSettings::default()
     };
     let refused = check(&path, &settings).unwrap_err();
     assert!(matches!(refused, RecordingError::NoSamples { .. }), "{refused}");
@@ -339,7 +497,7 @@ proptest! {
             text += &line(format!("{time:.digits$}"), others);
         }
         let (_folder, path) = file("emg.csv", &text);
-        let chosen = first_muscles(&path, 4).unwrap();
+        let chosen = first_muscles(&path, 4, None).unwrap();
         let expected: Vec<Channel> = if has_header {
             ABCD.map(Channel::from).to_vec()
         } else {

@@ -200,6 +200,7 @@ fn command_difference(first: &CommandRecord, second: &CommandRecord) -> Option<S
         byte("mode", first.mode, second.mode),
         byte("frame", first.frame, second.frame),
         byte("is_unsure", first.is_unsure, second.is_unsure),
+        byte("ordered_mode", first.ordered_mode, second.ordered_mode),
         number("gripper_toggles", first.gripper_toggles, second.gripper_toggles),
         (
             "confidence",

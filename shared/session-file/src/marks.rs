@@ -4,6 +4,7 @@
 //! recorded blocks ──▶ epochs of the source: it began anew where its sample numbers did not go on rising
 //! measurements ─────▶ dsp began anew with this block: its first, by sequence number
 //! predictions, commands: sequence numbers that start again ─▶ inference, decision began anew with this window
+//! commands ─────────▶ decision was ordered to take a mode with this window
 //! no window, prediction or command of it ─▶ dsp, inference or decision left it out: too old, lost, or not running
 //! ```
 //!
@@ -16,7 +17,7 @@ use std::path::Path;
 use tendon_messages::{ReplayMark, Stage};
 
 use crate::reader::{Reader, SessionFileError};
-use crate::records::{MeasurementRecord, Message, TraceRecord};
+use crate::records::{CommandRecord, MeasurementRecord, Message, TraceRecord};
 
 /// Which window: how often the source had begun anew, and the window's first sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -77,6 +78,7 @@ pub struct ReplayMarks {
     /// Epoch and first sample of each block with which dsp began anew.
     restarts_of_dsp: HashSet<(u32, u64)>,
     windows: HashMap<KeyOfWindow, u8>,
+    ordered_modes: HashMap<KeyOfWindow, u8>,
 }
 
 impl ReplayMarks {
@@ -102,7 +104,16 @@ impl ReplayMarks {
 
     /// The [`ReplayMark`]s of a window of the newest block, for its context; `None` if dsp left it out.
     pub fn window(&self, first_sample: u64) -> Option<u8> {
-        self.windows.get(&KeyOfWindow { epoch: self.epochs.epoch, first_sample }).copied()
+        self.windows.get(&self.key(first_sample)).copied()
+    }
+
+    /// The mode that decision was ordered to take with a window of the newest block, for its context; 0 if none was.
+    pub fn ordered_mode(&self, first_sample: u64) -> u8 {
+        self.ordered_modes.get(&self.key(first_sample)).copied().unwrap_or_default()
+    }
+
+    fn key(&self, first_sample: u64) -> KeyOfWindow {
+        KeyOfWindow { epoch: self.epochs.epoch, first_sample }
     }
 }
 
@@ -133,6 +144,8 @@ struct Gathered {
     windows: Vec<(TraceRecord, u64)>,
     predictions: Vec<(TraceRecord, u64)>,
     commands: Vec<(TraceRecord, u64)>,
+    /// First sample and mode of each command with which a mode was taken that had been ordered.
+    ordered_modes: Vec<(TraceRecord, u64, u8)>,
 }
 
 impl Gathered {
@@ -151,7 +164,13 @@ impl Gathered {
             Message::Prediction(prediction) => {
                 self.predictions.push((prediction.trace, prediction.context.first_sample));
             }
-            Message::Command(command) => self.commands.push((command.trace, command.context.first_sample)),
+            Message::Command(command) => {
+                let CommandRecord { trace, context, ordered_mode, .. } = command;
+                if ordered_mode != 0 {
+                    self.ordered_modes.push((trace, context.first_sample, ordered_mode));
+                }
+                self.commands.push((trace, context.first_sample));
+            }
             Message::Measurement(batch) if batch.stage == Stage::Dsp.name() && batch.received > 0 => {
                 if self.dsp.iter().all(|seen| seen.process_id != batch.process_id) {
                     self.dsp.push(batch);
@@ -187,7 +206,11 @@ impl Gathered {
             }
         }
         let restarts_of_dsp = self.dsp.iter().skip(1).filter_map(|batch| self.first_block(batch)).collect();
-        ReplayMarks { epochs: EpochCounter::default(), restarts_of_dsp, windows }
+        let ordered = self.ordered_modes.iter();
+        let ordered_modes = ordered
+            .map(|(trace, first_sample, mode)| (self.epochs.key(trace, *first_sample), *mode))
+            .collect();
+        ReplayMarks { epochs: EpochCounter::default(), restarts_of_dsp, windows, ordered_modes }
     }
 
     /// The first block that a dsp process took. Sequence numbers start again with the source, so it is the newest block of

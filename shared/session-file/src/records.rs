@@ -130,6 +130,9 @@ pub struct CommandRecord {
     pub frame: u8,
     /// 1 if it is not clear which gesture is made.
     pub is_unsure: u8,
+    /// The place, from 1, of the mode that was ordered, and taken with this window; 0 if none was.
+    #[serde(default)]
+    pub ordered_mode: u8,
     /// How often the gripper was asked to change sides since the decision process began.
     pub gripper_toggles: u32,
     /// mm/s along, then rad/s about x, y, z.
@@ -148,6 +151,7 @@ impl CommandRecord {
             mode: header.mode,
             frame: header.frame,
             is_unsure: header.is_unsure,
+            ordered_mode: header.ordered_mode,
             gripper_toggles: header.gripper_toggles,
             twist: numbers(payload),
         }

@@ -81,6 +81,7 @@ impl ChannelKind {
                     ("mode", integer()),
                     ("frame", integer()),
                     ("is_unsure", integer()),
+                    ("ordered_mode", integer()),
                     ("gripper_toggles", integer()),
                     ("twist", numbers()),
                 ]),

@@ -81,6 +81,7 @@ impl Session {
                 mode: 0,
                 frame: 0,
                 is_unsure: 0,
+                ordered_mode: 0,
                 gripper_toggles: 2,
                 twist: [0.0, -0.0, 1e-40, f32::MAX, 0.1, 3.0].map(Number).to_vec(),
             }),
@@ -258,6 +259,23 @@ fn a_stage_that_began_anew_is_marked_where_it_did() {
     assert_eq!(marked(60), Some(ReplayMark::InferenceBeganAnew.bit()));
     assert_eq!(marked(80), Some(ReplayMark::DecisionBeganAnew.bit()));
     assert_eq!(marked(100), None);
+}
+
+#[test]
+fn a_mode_that_was_ordered_is_repeated_with_the_window_that_it_was_taken_with() {
+    let mut session = undisturbed(8);
+    let commands = session.messages.iter_mut().filter_map(|message| match message {
+        Message::Command(command) => Some(command),
+        _ => None,
+    });
+    for (command, ordered_mode) in commands.zip([0, 2, 0, 1]) {
+        command.ordered_mode = ordered_mode;
+    }
+    let (_folder, path) = file_of(&session);
+    let mut marks = ReplayMarks::read(&path).unwrap();
+    marks.begins_anew(0);
+    let ordered: Vec<u8> = (0..4).map(|window| marks.ordered_mode(window * INCREMENT_SAMPLES)).collect();
+    assert_eq!(ordered, [0, 2, 0, 1]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! AcquisitionWatch::start ─▶ wait_until_ready ─▶ turn, turn, … ─▶ stop
-//!         orders ─▶ acquisition ──blocks──▶ turn ─▶ on_block; keys, signals ─▶ Heard
+//!         orders ─▶ acquisition ──blocks──▶ turn ─▶ on_block; keys, signals, requests ─▶ Heard
 //! ```
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use tendon_config::Config;
 use tendon_messages::{BLOCKS, BlockHeader, Stage};
-use tendon_process::{Order, Ready};
+use tendon_process::{Answer, Asked, CalibrationRequest, Order, Ready, Request};
 use tendon_transport::{Delivery, Received, Session, Subscriber};
 
 use crate::children::{Children, Event};
@@ -23,7 +23,7 @@ const READY_TIMEOUT: Duration = Duration::from_secs(60);
 /// After so long without a block the source has stopped.
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// What the person at the keys wants.
+/// What the person at the keys or the page wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heard {
     /// Nothing.
@@ -38,16 +38,16 @@ pub enum Heard {
 
 /// A source that runs by itself. Dropping it kills it.
 #[derive(Debug)]
-pub struct AcquisitionWatch {
+pub struct AcquisitionWatch<'a> {
     children: Children,
-    events: Receiver<Event>,
+    events: &'a Receiver<Event>,
     blocks: Subscriber<BlockHeader, f32>,
     last_block: Instant,
     /// Ports close before the membership they belong to.
     _session: Session,
 }
 
-impl AcquisitionWatch {
+impl<'a> AcquisitionWatch<'a> {
     /// Starts the source of this configuration.
     ///
     /// # Errors
@@ -56,9 +56,9 @@ impl AcquisitionWatch {
     pub fn start(
         config: &Config,
         robot: &RobotLine,
-        (sender, events): (&Sender<Event>, Receiver<Event>),
+        (sender, events): (&Sender<Event>, &'a Receiver<Event>),
         standard_error: &Writer,
-    ) -> Result<AcquisitionWatch, SessionFailure> {
+    ) -> Result<AcquisitionWatch<'a>, SessionFailure> {
         let session = Session::join(&config.session, "calibrate")?;
         let blocks = Subscriber::open(&session, &BLOCKS, None, Delivery::Live)?;
         let children = Children::start(&[Stage::Acquisition], config, sender, robot, standard_error)?;
@@ -81,15 +81,13 @@ impl AcquisitionWatch {
                     return Ok(Some(ready));
                 }
                 Ok(Event::Stop) => return Ok(None),
+                Ok(Event::Request(asked)) => {
+                    if hear_request(asked) == Heard::Stop {
+                        return Ok(None);
+                    }
+                }
                 Ok(Event::Ended(stage)) => return Err(self.ended(stage, true)),
-                Ok(
-                    Event::Order(..)
-                    | Event::GoOn
-                    | Event::Redo
-                    | Event::Record
-                    | Event::Recorder
-                    | Event::Request(_),
-                ) => {}
+                Ok(Event::Order(..) | Event::GoOn | Event::Redo | Event::Record | Event::Recorder) => {}
                 Err(_) => {
                     let who = Stage::Acquisition.name().to_owned();
                     return Err(SessionFailure::NotReady { who, timeout: READY_TIMEOUT });
@@ -112,9 +110,10 @@ impl AcquisitionWatch {
         let heard = match self.events.recv_timeout(longest) {
             Ok(Event::GoOn) => Heard::GoOn,
             Ok(Event::Redo) => Heard::Redo,
+            Ok(Event::Request(asked)) => hear_request(asked),
             Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => Heard::Stop,
             Ok(Event::Ended(stage)) => return Err(self.ended(stage, false)),
-            Ok(Event::Order(..) | Event::Ready(..) | Event::Record | Event::Recorder | Event::Request(_))
+            Ok(Event::Order(..) | Event::Ready(..) | Event::Record | Event::Recorder)
             | Err(RecvTimeoutError::Timeout) => Heard::Nothing,
         };
         self.blocks.acknowledge_wakes()?;
@@ -140,7 +139,7 @@ impl AcquisitionWatch {
     /// [`SessionFailure`] when it had to be killed.
     pub fn stop(mut self) -> Result<(), SessionFailure> {
         self.children.keep_quiet();
-        let killed = self.children.stop(&self.events, || ())?;
+        let killed = self.children.stop(self.events, || ())?;
         if killed.is_empty() {
             return Ok(());
         }
@@ -156,4 +155,16 @@ impl AcquisitionWatch {
             Err(error) => error.into(),
         }
     }
+}
+
+/// What a request wants, and the answer to it. Whoever passed it on has seen that it can be asked for now.
+fn hear_request(asked: Asked) -> Heard {
+    let (heard, answer) = match &asked.request {
+        Request::Calibration(CalibrationRequest::GoOn) => (Heard::GoOn, Answer::done("it goes on")),
+        Request::Calibration(CalibrationRequest::Redo) => (Heard::Redo, Answer::done("once more")),
+        Request::Calibration(CalibrationRequest::Stop) => (Heard::Stop, Answer::done("it stops")),
+        _ => (Heard::Nothing, Answer::refused("this cannot be asked of a source alone")),
+    };
+    asked.answer(&answer);
+    heard
 }

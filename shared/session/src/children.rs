@@ -24,7 +24,7 @@ use nix::unistd::{AccessFlags, Pid, access};
 use tendon_config::Config;
 use tendon_messages::Stage;
 use tendon_paths::PathError;
-use tendon_process::{Asked, Order, Ready};
+use tendon_process::{Asked, Order, PAGE_VARIABLE, Ready};
 
 use crate::recorder::{Recorder, RecordingPlan};
 use crate::robot_line::RobotLine;
@@ -267,6 +267,7 @@ impl Children {
             .arg("--config")
             .arg(self.config.path())
             .args(is_restarted.then_some("--restarted"))
+            .env_remove(PAGE_VARIABLE)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -312,7 +313,7 @@ impl Children {
         let folder = plan.folder()?;
         let program = self.folder.join(RECORDER_PROGRAM);
         let mut command = Command::new(&program);
-        command.arg("--config").arg(self.config.path()).process_group(0);
+        command.arg("--config").arg(self.config.path()).env_remove(PAGE_VARIABLE).process_group(0);
         Recorder::start(command, &folder, &plan.start, &self.events, |errors| self.relay("recorder", errors))
             .map_err(|source| ChildrenError::Start { program, source })
     }

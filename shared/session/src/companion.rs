@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use tendon_config::Config;
+use tendon_process::PAGE_VARIABLE;
 
 use crate::children::{ChildrenError, SealedConfig, own_folder};
 use crate::writer::Writer;
@@ -29,8 +30,9 @@ pub struct Companion {
 }
 
 impl Companion {
-    /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` of its own. What it writes to standard error goes to
-    /// `standard_error`.
+    /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` of its own, and `page` as
+    /// [`PAGE_VARIABLE`] in its environment. Each line that it says on standard output goes to `on_said`, in a thread; what it
+    /// writes to standard error goes to `standard_error`.
     ///
     /// # Errors
     ///
@@ -39,6 +41,8 @@ impl Companion {
         name: &'static str,
         config: &Config,
         arguments: &[String],
+        page: Option<&str>,
+        mut on_said: impl FnMut(&str) + Send + 'static,
         standard_error: &Writer,
     ) -> Result<Companion, ChildrenError> {
         let program = own_folder()?.join(name);
@@ -47,11 +51,21 @@ impl Companion {
             .arg("--config")
             .arg(config.path())
             .args(arguments)
+            .env_remove(PAGE_VARIABLE)
+            .envs(page.map(|page| (PAGE_VARIABLE, page)))
             .stdin(Stdio::null())
-            .stdout(Stdio::null())
+            .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .map_err(|source| ChildrenError::Start { program, source })?;
+        if let Some(output) = process.stdout.take() {
+            let hear = std::thread::Builder::new().name(format!("hear {name}"));
+            // As below.
+            let _ = hear.spawn(move || {
+                let lines = BufReader::new(output).lines().map_while(Result::ok);
+                lines.for_each(|line| on_said(&line));
+            });
+        }
         if let Some(errors) = process.stderr.take() {
             let writer = standard_error.clone();
             let relay = std::thread::Builder::new().name(format!("errors {name}"));

@@ -13,7 +13,7 @@ use serde::Serialize;
 use tendon_classifier::{Classifier, default_model_file, model_beside_program, runtime_library};
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, list};
-use tendon_evaluation::{PersonWindows, score_recordings};
+use tendon_evaluation::{PersonWindows, score_recordings, settings_of};
 use tendon_gesture::{Gesture, Strategy};
 use tendon_guide::{Guide, GuideSettings};
 use tendon_people::{Person, PersonalRecogniser};
@@ -21,6 +21,7 @@ use tendon_recordings::{Channel, RecordedSession, Recorder};
 use tendon_session::Writer;
 
 use super::round::{Live, RoundEnd};
+use super::status::Phase;
 use crate::Failure;
 use crate::personal::recorded_settings;
 
@@ -72,7 +73,7 @@ impl CheckRound<'_> {
         let mut recorder = Recorder::create(&folder, session.clone()).map_err(Failure::running)?;
         let asked = GuideSettings { rest_s: 0.0, repetitions: 1, ..self.guide.clone() };
         let mut guide = Guide::new(asked, session.sample_rate_hz);
-        if live.round(&mut guide, &mut recorder)? == RoundEnd::Stopped {
+        if live.round(Phase::Check, &mut guide, &mut recorder)? == RoundEnd::Stopped {
             return Ok(None);
         }
         drop(recorder);
@@ -154,8 +155,8 @@ fn network(folder: &Path, channels: usize) -> anyhow::Result<(String, f64)> {
     let model = model_beside_program(file)?;
     let classifier = Classifier::load(&runtime_library(None)?, &model)?;
     let channels: Vec<Channel> = (0..channels).map(Channel::Index).collect();
-    let (scores, _) =
-        score_recordings(classifier, &[folder.to_owned()], &channels, None, &[], &mut |_, _| ())?;
+    let settings = DatasetSettings { channels, ..settings_of(classifier.contract()) };
+    let (scores, _) = score_recordings(classifier, &[folder.to_owned()], &settings, &[], &mut |_, _| ())?;
     Ok((file.to_owned(), scores.evaluation.macro_average.recall))
 }
 

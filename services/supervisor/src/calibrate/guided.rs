@@ -5,7 +5,7 @@
 //! ```
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
@@ -14,26 +14,32 @@ use tendon_config::{Config, Gestures, Source};
 use tendon_gesture::Gesture;
 use tendon_guide::{Guide, GuideSettings};
 use tendon_output::OutputFile;
-use tendon_people::{People, Person, PersonName};
+use tendon_people::{People, Person};
 use tendon_process::SignalDescription;
 use tendon_provenance::Provenance;
-use tendon_recordings::{RecordedSession, Recorder, SimulatedFrom};
-use tendon_session::{AcquisitionWatch, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
+use tendon_recordings::{RecordedSession, Recorder};
+use tendon_session::{AcquisitionWatch, Event, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
 use tendon_transport::{Leftovers, SessionLock};
 
-use super::check::{self, CheckScores};
-use super::round::{Live, RoundEnd};
+use super::board::StatusBoard;
+use super::check::{CheckRound, CheckScores};
+use super::learnt::PageReport;
+use super::recording::Recording;
+use super::round::{Attendance, Live, RoundEnd};
+use super::status::{CalibrationStatus, Phase};
 use super::{Fitted, Selection, fit, report, update};
+use crate::next::Handover;
 use crate::options::duration;
+use crate::page::Page;
 use crate::personal::{WINDOWS, ask_for, check_simulated, is_simulated, personal_windows};
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
-/// Folder of a person's recordings in that of the person.
-const RECORDINGS: &str = "recordings";
-/// What the folder of an update ends with.
-const UPDATE: &str = "-update";
 /// What the keys do.
 const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
+/// What is said while the page shows what came of it.
+const HELD: &str = "the page goes on from here; Ctrl-C ends it";
+/// Time between two looks at the page meanwhile.
+const HOLD_LOOK: Duration = Duration::from_millis(200);
 
 /// What can be said of a guided calibration.
 #[derive(Debug, Args)]
@@ -68,97 +74,139 @@ pub fn calibrate(
     json: Option<&OutputFile>,
     begun: Provenance,
 ) -> Result<(), Failure> {
-    let name = &options.name;
-    let is_redo = options.guided.redo.is_some();
-    let updated = options.guided.update.then(|| people.find(name)).transpose().map_err(Failure::input)?;
-    if !options.replace && !is_redo && updated.is_none() {
-        people.check_new(name).map_err(Failure::input)?;
-    }
-    let mut config = configuration(options).map_err(Failure::input)?;
-    if let Some(person) = &updated {
-        config.dsp.windows.window_samples = person.signal.window_samples;
-        ask_for(&mut config.acquisition, &person.signal.channels, &person.signal.unit);
-        update::check_signal(person, &config).map_err(Failure::input)?;
-    }
-    let guide = guide_settings(options, &config, updated.as_ref()).map_err(Failure::input)?;
-    let source = checks::source(&config).map_err(Failure::input)?;
-    let recording = if is_redo {
-        let folder = recording_to_redo(people, name).map_err(Failure::input)?;
-        let recorder = Recorder::resume(&folder).map_err(Failure::input)?;
-        check_fits(&recorder, &config).map_err(Failure::input)?;
-        ask_for(&mut config.acquisition, &recorder.session().channels, &recorder.session().unit);
-        Recording::Resumed(recorder)
-    } else {
-        let ending = if updated.is_some() { UPDATE } else { "" };
-        let folder = recordings_of(people, name).join(file_name(&begun.started_at) + ending);
-        let session = recorded_session(name, &config, &source, &begun).map_err(Failure::input)?;
-        Recording::New(folder, session)
-    };
+    let plan = Plan::of(options, people).map_err(Failure::input)?;
+    let session = plan.config.session.clone();
+    let lock = SessionLock::take(&session).map_err(Failure::input)?;
+    Leftovers::remove(&lock, &session);
+    let kept = lock.keep_configuration(&session, &plan.config.to_toml()).map_err(Failure::input);
+    let result = kept.and_then(|()| attend(plan, begun, json));
+    Leftovers::remove(&lock, &session);
+    result
+}
+
+/// Carries out a calibration and says what came of it: on the terminal, and on the page, which stays until somebody ends it.
+fn attend(plan: Plan<'_>, begun: Provenance, json: Option<&OutputFile>) -> Result<(), Failure> {
+    let Plan { options, .. } = plan;
+    checks::shared_memory(&plan.config).map_err(Failure::input)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
-    let updated = updated.as_ref();
-    let calibration = Calibration { options, people, config: &config, guide, begun, updated };
-    let channels = recording.session().channels.clone();
-    let learnt = with_source(&config, &channels, &errors, |live, signal| {
-        let recording = recording.of_signal(signal).map_err(Failure::input)?;
-        calibration.follow(live, recording, &errors)
-    });
+    let robot = RobotLine::default();
+    let (sender, events) = channel();
+    stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
+    let status = CalibrationStatus::new(options.name.clone(), plan.guide.repetitions);
+    let board = StatusBoard::open(status, &plan.config, &sender).map_err(Failure::input)?;
+    let has_keys = Keyboard::is_there();
+    let keyboard = has_keys.then(|| Keyboard::listen(&robot, &sender, Keys::Guide));
+    let keyboard = keyboard.transpose().context("keys").map_err(Failure::input)?;
+    let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
+    let start = || Page::start(&options.page, &plan.config, before.as_ref(), &errors);
+    let mut page = options.page.page.then(start).transpose().map_err(Failure::running)?;
+    let attendance = Attendance { has_keys, has_page: options.page.takes_orders() };
+    let place = Place { errors: &errors, board: &board, robot: &robot, sender: &sender, events: &events };
+    let learnt = plan.carry_out(begun, &place, attendance);
+    show_end(&board, &learnt);
     errors.end_live();
     let _ = errors.finish(TERMINAL_TIMEOUT);
-    match learnt? {
+    let result = learnt.and_then(|learnt| match learnt {
         Some(Learnt { fitted, file, check, begun }) => {
             report(options, &fitted, &file, check.as_ref(), begun, json)
         }
         None => Ok(()),
+    });
+    let Some(page) = page.as_mut().filter(|_| !robot.is_ending()) else { return result };
+    let result = result.map_err(|Failure { error, exit_code }| {
+        errors.say(format!("tendon: error: {error:#}"));
+        Failure { error: anyhow!("{} was not calibrated, as said above", options.name), exit_code }
+    });
+    hold(page, &events, &errors);
+    drop(keyboard);
+    let _ = errors.finish(TERMINAL_TIMEOUT);
+    result
+}
+
+/// Keeps on the page what came of a calibration, until somebody goes on from there or ends it.
+fn hold(page: &mut Page, events: &Receiver<Event>, errors: &Writer) {
+    errors.say(HELD);
+    loop {
+        match events.recv_timeout(HOLD_LOOK) {
+            Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+            Ok(_) | Err(RecvTimeoutError::Timeout) => page.look(),
+        }
     }
 }
 
-/// Where a calibration is recorded.
-enum Recording {
-    /// In this new folder.
-    New(PathBuf, RecordedSession),
-    /// Beside what was recorded before.
-    Resumed(Recorder),
+/// A calibration as it is asked for. Nothing of it has begun.
+struct Plan<'a> {
+    options: &'a super::Options,
+    people: &'a People,
+    config: Config,
+    guide: GuideSettings,
+    /// The person who is to be updated.
+    updated: Option<Person>,
+    /// What a gesture is added to.
+    redone: Option<Recording>,
 }
 
-impl Recording {
-    fn session(&self) -> &RecordedSession {
-        match self {
-            Recording::New(_, session) => session,
-            Recording::Resumed(recorder) => recorder.session(),
+impl Plan<'_> {
+    /// What these options ask for.
+    fn of<'a>(options: &'a super::Options, people: &'a People) -> anyhow::Result<Plan<'a>> {
+        let name = &options.name;
+        let is_redo = options.guided.redo.is_some();
+        let updated = options.guided.update.then(|| people.find(name)).transpose()?;
+        if !options.replace && !is_redo && updated.is_none() {
+            people.check_new(name)?;
         }
+        let mut config = configuration(options)?;
+        if let Some(person) = &updated {
+            config.dsp.windows.window_samples = person.signal.window_samples;
+            ask_for(&mut config.acquisition, &person.signal.channels, &person.signal.unit);
+            update::check_signal(person, &config)?;
+        }
+        let guide = guide_settings(options, &config, updated.as_ref())?;
+        let redone = is_redo.then(|| Recording::to_redo(people, name, &config)).transpose()?;
+        if let Some(recording) = &redone {
+            let RecordedSession { channels, unit, .. } = recording.session();
+            ask_for(&mut config.acquisition, channels, unit);
+        }
+        Ok(Plan { options, people, config, guide, updated, redone })
     }
 
-    /// Of the channels and in the unit that the source says it has.
-    fn of_signal(self, signal: Option<SignalDescription>) -> anyhow::Result<Recording> {
-        let Some(signal) = signal else { return Ok(self) };
-        match self {
-            Recording::New(folder, mut session) => {
-                SignalDescription { channels: session.channels, unit: session.unit } = signal;
-                Ok(Recording::New(folder, session))
-            }
-            Recording::Resumed(recorder) => {
-                let recorded = recorder.session();
-                ensure!(
-                    recorded.channels == signal.channels && recorded.unit == signal.unit,
-                    "{} holds the channels {} in \"{}\", and the source has {} in \"{}\": choose the same \
-                     (acquisition.channel_selection, acquisition.unit), or calibrate anew with --replace",
-                    recorder.folder().display(),
-                    recorded.channels.join(", "),
-                    recorded.unit,
-                    signal.channels.join(", "),
-                    signal.unit
-                );
-                Ok(Recording::Resumed(recorder))
-            }
-        }
+    /// Starts the source and follows the person. Gives nothing if somebody said stop.
+    fn carry_out(
+        self,
+        begun: Provenance,
+        place: &Place<'_>,
+        attendance: Attendance,
+    ) -> Result<Option<Learnt>, Failure> {
+        let Plan { options, people, config, guide, updated, redone } = self;
+        let source = checks::source(&config).map_err(Failure::input)?;
+        let recording = redone.map_or_else(
+            || Recording::new((people, &options.name), updated.is_some(), &config, &source, &begun),
+            Ok,
+        );
+        let recording = recording.map_err(Failure::input)?;
+        let updated = updated.as_ref();
+        let calibration = Calibration { options, people, config: &config, guide, begun, updated };
+        let channels = recording.session().channels.clone();
+        with_source(&config, &channels, place, attendance, |live, signal| {
+            let recording = recording.of_signal(signal).map_err(Failure::input)?;
+            calibration.follow(live, recording, place.errors)
+        })
     }
+}
 
-    fn begin(self) -> Result<Recorder, Failure> {
-        match self {
-            Recording::New(folder, session) => Recorder::create(&folder, session).map_err(Failure::input),
-            Recording::Resumed(recorder) => Ok(recorder),
+/// Shows what came of a calibration.
+fn show_end(board: &StatusBoard, learnt: &Result<Option<Learnt>, Failure>) {
+    board.change(|status| match learnt {
+        Ok(Some(Learnt { fitted, file, check, .. })) => {
+            status.rest_in(Phase::Done);
+            status.report = Some(PageReport::of(&fitted.person, check.as_ref(), file));
         }
-    }
+        Ok(None) => status.rest_in(Phase::Stopped),
+        Err(failure) => {
+            status.rest_in(Phase::Failed);
+            status.error = Some(failure.reason());
+        }
+    });
 }
 
 /// A calibration that is under way.
@@ -200,7 +248,7 @@ impl Calibration<'_> {
         let mut guide = Guide::new(self.guide.clone(), config.acquisition.sample_rate_hz);
         let seconds = self.guide.duration_s();
         errors.say(format!("calibration of {name}: {seconds:.0} s, recorded in {}", folder.display()));
-        let end = live.round(&mut guide, &mut recorder);
+        let end = live.round(Phase::Cues, &mut guide, &mut recorder);
         if !matches!(end, Ok(RoundEnd::Done)) {
             errors.say(self.left_over(&recorder));
         }
@@ -248,7 +296,7 @@ impl Calibration<'_> {
         let file = people.replace(&fitted.person).map_err(Failure::running)?;
         let check = if options.guided.check {
             errors.say("check round: each gesture once more");
-            let round = check::CheckRound { config, guide: &self.guide, before: before.as_ref() };
+            let round = CheckRound { config, guide: &self.guide, before: before.as_ref() };
             round.run(live, &fitted.person, &folder, errors)?
         } else {
             None
@@ -342,116 +390,37 @@ fn check_gestures(before: Option<&Person>, fitted: &Person, folder: &Path) -> an
     Ok(())
 }
 
-/// What is recorded.
-fn recorded_session(
-    name: &PersonName,
-    config: &Config,
-    source: &str,
-    begun: &Provenance,
-) -> anyhow::Result<RecordedSession> {
-    let acquisition = &config.acquisition;
-    // Of a source that does not say what its channels are called; a table needs names that are no numbers.
-    let channels = (0..acquisition.channels).map(|channel| format!("channel_{channel}")).collect();
-    let mut session =
-        RecordedSession::new(name.id(), &begun.started_at, channels, acquisition.sample_rate_hz);
-    session.source = source.to_owned();
-    session.program_version = begun.version.clone();
-    session.commit = begun.commit.clone();
-    session.filter = config.dsp.filter.clone();
-    if is_simulated(config) {
-        let profile = acquisition.simulate.read_profile()?;
-        session.unit = profile.unit;
-        let of_data_set = profile.data_set.zip(profile.number);
-        session.simulated = of_data_set.map(|(data_set, number)| SimulatedFrom { data_set, number });
-    }
-    Ok(session)
-}
-
-/// What is added to a recording must be of the same channels and rate.
-fn check_fits(recorder: &Recorder, config: &Config) -> anyhow::Result<()> {
-    let RecordedSession { channels, sample_rate_hz, .. } = recorder.session();
-    let acquisition = &config.acquisition;
-    ensure!(
-        channels.len() == acquisition.channels && *sample_rate_hz == acquisition.sample_rate_hz,
-        "{} holds {} channels at {sample_rate_hz} Hz, this session has {} at {} Hz: use the same configuration",
-        recorder.folder().display(),
-        channels.len(),
-        acquisition.channels,
-        acquisition.sample_rate_hz
-    );
-    Ok(())
-}
-
-fn recordings_of(people: &People, name: &PersonName) -> PathBuf {
-    people.folder_of(name).join(RECORDINGS)
-}
-
-/// A time as a file name.
-fn file_name(time: &str) -> String {
-    time.replace(':', "-")
-}
-
-/// The recording to which a gesture is added: the one that a person was fitted to; of somebody who was not kept, the newest.
-fn recording_to_redo(people: &People, name: &PersonName) -> anyhow::Result<PathBuf> {
-    if people.check_new(name).is_ok() {
-        return newest_recording(people, name);
-    }
-    let made = people.find(name)?.made;
-    match &made.recordings[..] {
-        // A person of an earlier version of Tendon.
-        [] => newest_recording(people, name),
-        [only] if RecordedSession::read(only.as_ref())?.is_some() => Ok(only.into()),
-        _ => Err(anyhow!(
-            "{name} was calibrated from {}, to which no gesture can be added: calibrate anew with --replace",
-            made.from
-        )),
-    }
-}
-
-/// The newest recording of a person. Their names sort by time.
-fn newest_recording(people: &People, name: &PersonName) -> anyhow::Result<PathBuf> {
-    let folder = recordings_of(people, name);
-    let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten().map(|entry| entry.path());
-    let is_update = |path: &Path| path.to_str().is_none_or(|path| path.ends_with(UPDATE));
-    let is_calibration = |path: &PathBuf| !check::is_check(path) && !is_update(path);
-    let recordings = entries.filter(|path| is_calibration(path) && RecordedSession::read(path).is_ok());
-    recordings.max().ok_or_else(|| {
-        anyhow!("{name} has no recording in {}: calibrate first, without --redo", folder.display())
-    })
+/// What a calibration runs in.
+struct Place<'a> {
+    errors: &'a Writer,
+    board: &'a StatusBoard,
+    robot: &'a RobotLine,
+    sender: &'a Sender<Event>,
+    events: &'a Receiver<Event>,
 }
 
 /// Starts the source, lets `work` follow it, and stops it. Gives nothing if somebody said stop before.
 fn with_source<T>(
     config: &Config,
     channels: &[String],
-    errors: &Writer,
+    place: &Place<'_>,
+    attendance: Attendance,
     work: impl FnOnce(&mut Live<'_>, Option<SignalDescription>) -> Result<Option<T>, Failure>,
 ) -> Result<Option<T>, Failure> {
-    let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
-    Leftovers::remove(&lock, &config.session);
-    let result = checks::shared_memory(config).map_err(Failure::input).and_then(|_| {
-        let robot = RobotLine::default();
-        let (sender, events) = channel();
-        stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
-        let has_keys = Keyboard::is_there();
-        let keyboard = has_keys.then(|| Keyboard::listen(&robot, &sender, Keys::Guide));
-        let _keyboard = keyboard.transpose().context("keys").map_err(Failure::input)?;
-        let mut acquisition =
-            AcquisitionWatch::start(config, &robot, (&sender, events), errors).map_err(Failure::input)?;
-        let ready = acquisition.wait_until_ready().map_err(|error| {
-            if error.is_input() { Failure::input(error) } else { Failure::running(error) }
-        })?;
-        let Some(ready) = ready else { return Ok(None) };
-        errors.say(ready.detail);
-        if has_keys {
-            errors.say(KEYS);
-        }
-        let channels = ready.signal.as_ref().map_or(channels, |signal| &signal.channels);
-        let mut live = Live::new(acquisition, config, channels, errors, has_keys)?;
-        let done = work(&mut live, ready.signal);
-        let stopped = live.stop();
-        done.and_then(|done| stopped.map(|()| done))
-    });
-    Leftovers::remove(&lock, &config.session);
-    result
+    let Place { errors, board, robot, sender, events } = *place;
+    let mut acquisition =
+        AcquisitionWatch::start(config, robot, (sender, events), errors).map_err(Failure::input)?;
+    let ready = acquisition
+        .wait_until_ready()
+        .map_err(|error| if error.is_input() { Failure::input(error) } else { Failure::running(error) })?;
+    let Some(ready) = ready else { return Ok(None) };
+    errors.say(ready.detail);
+    if attendance.has_keys {
+        errors.say(KEYS);
+    }
+    let channels = ready.signal.as_ref().map_or(channels, |signal| &signal.channels);
+    let mut live = Live::new(acquisition, config, channels, (errors, board), attendance)?;
+    let done = work(&mut live, ready.signal);
+    let stopped = live.stop();
+    done.and_then(|done| stopped.map(|()| done))
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! acquisition ──blocks──▶ Recorder (file), SignalWatch ──trouble──▶ again?
-//!      ▲ gestures of the simulated person       keys ─▶ Guide ──cue──▶ terminal
+//!      ▲ gestures of the simulated person       keys ─▶ Guide ──cue──▶ StatusBoard ─▶ terminal
 //!      └───────────────────────────────────────────────────┘
 //! ```
 
@@ -17,6 +17,8 @@ use tendon_recordings::{RecordedTrial, Recorder, RecorderError};
 use tendon_session::{AcquisitionWatch, Heard, Writer};
 use tendon_transport::Received;
 
+use super::board::StatusBoard;
+use super::status::{CalibrationStatus, May, Phase, asked};
 use crate::Failure;
 
 /// Longest time between two looks at keys and blocks: less than their topic holds.
@@ -25,8 +27,6 @@ const TICK: Duration = Duration::from_millis(20);
 const TRIES: u32 = 3;
 /// Smallest change of effort that the simulated person is told.
 const EFFORT_STEP: f64 = 0.02;
-/// Width of a bar, in characters.
-const BAR_WIDTH: usize = 20;
 /// Level, in multiples of rest, at which the bar of effort is full until somebody has been stronger.
 const STRONG_LEVEL: f64 = 5.0;
 
@@ -39,13 +39,31 @@ pub enum RoundEnd {
     Stopped,
 }
 
+/// Who can be asked.
+#[derive(Clone, Copy, Debug)]
+pub struct Attendance {
+    /// Somebody at the keys.
+    pub has_keys: bool,
+    /// Somebody at the page.
+    pub has_page: bool,
+}
+
+impl Attendance {
+    /// Whether anybody can be asked.
+    fn has_somebody(self) -> bool {
+        self.has_keys || self.has_page
+    }
+}
+
 /// The source that runs, and what is known of its samples.
 pub struct Live<'a> {
-    acquisition: AcquisitionWatch,
+    acquisition: AcquisitionWatch<'a>,
     watch: SignalWatch,
     errors: &'a Writer,
-    /// Somebody can be asked.
-    has_keys: bool,
+    board: &'a StatusBoard,
+    attendance: Attendance,
+    /// Somebody said stop while nothing could be stopped.
+    is_to_stop: bool,
     is_simulated: bool,
     /// The sample after the newest one; `None` before the first block.
     next_sample: Option<u64>,
@@ -59,18 +77,20 @@ pub struct Live<'a> {
 impl<'a> Live<'a> {
     /// Follows the samples of a source that was started.
     pub fn new(
-        acquisition: AcquisitionWatch,
+        acquisition: AcquisitionWatch<'a>,
         config: &Config,
         channels: &[String],
-        errors: &'a Writer,
-        has_keys: bool,
+        (errors, board): (&'a Writer, &'a StatusBoard),
+        attendance: Attendance,
     ) -> Result<Live<'a>, Failure> {
         let watch = SignalWatch::new(&config.dsp.filter, channels, config.acquisition.sample_rate_hz);
         Ok(Live {
             acquisition,
             watch: watch.map_err(Failure::input)?,
             errors,
-            has_keys,
+            board,
+            attendance,
+            is_to_stop: false,
             is_simulated: config.acquisition.source == Source::Simulate,
             next_sample: None,
             told: (Gesture::REST, 0.0),
@@ -93,16 +113,22 @@ impl<'a> Live<'a> {
         Ok(RoundEnd::Done)
     }
 
-    /// Guides the person through a round and records it.
+    /// Guides the person through a round and records it. `phase` is what the round is called.
     ///
     /// # Errors
     ///
     /// The source ended, the recording cannot be written, or a trial failed again and again with nobody there to be asked.
-    pub fn round(&mut self, guide: &mut Guide, recorder: &mut Recorder) -> Result<RoundEnd, Failure> {
+    pub fn round(
+        &mut self,
+        phase: Phase,
+        guide: &mut Guide,
+        recorder: &mut Recorder,
+    ) -> Result<RoundEnd, Failure> {
+        self.board.change(|status| status.phase = phase);
         let mut round = Round { guide, recorder, shown: None, aborted: false, asks: false, tries: 0 };
-        let mut has_begun = self.has_keys;
+        let mut has_begun = self.attendance.has_somebody();
         while !round.guide.is_over() || round.asks {
-            let heard = self.take(Some(&mut *round.recorder))?;
+            let heard = if self.is_to_stop { Heard::Stop } else { self.take(Some(&mut *round.recorder))? };
             match heard {
                 Heard::Stop => {
                     self.tell_simulated(Gesture::REST, 0.0);
@@ -110,12 +136,16 @@ impl<'a> Live<'a> {
                 }
                 Heard::GoOn => round.go_on(),
                 Heard::Redo => {
-                    if round.asks {
+                    // Of one that was broken off, nothing is kept that could be spoilt.
+                    if round.asks && !round.aborted {
                         self.spoilt.pop();
                     }
                     round.redo()?;
                 }
                 Heard::Nothing => {}
+            }
+            if !round.asks {
+                self.board.change(|status| status.trouble = None);
             }
             self.follow(&mut round)?;
             if !has_begun && self.next_sample.is_some() {
@@ -127,16 +157,17 @@ impl<'a> Live<'a> {
         Ok(RoundEnd::Done)
     }
 
-    /// Lets samples go by while `work` is done in another thread; gives what came of it.
+    /// Lets samples go by while `work` is done in another thread; gives what came of it. A stop counts after it.
     ///
     /// # Errors
     ///
     /// The source ended.
     pub fn meanwhile<T: Send>(&mut self, work: impl FnOnce() -> T + Send) -> Result<T, Failure> {
+        self.board.change(|status| status.rest_in(Phase::Fitting));
         std::thread::scope(|scope| {
             let work = scope.spawn(work);
             while !work.is_finished() {
-                self.take(None)?;
+                self.is_to_stop |= self.take(None)? == Heard::Stop;
             }
             work.join()
                 .map_err(|_| Failure::running(anyhow::anyhow!("the fit broke off: please report this")))
@@ -188,10 +219,13 @@ impl<'a> Live<'a> {
             self.span_ended(round, span)?;
         }
         let cue = round.guide.cue();
+        self.show(round, &cue);
         if round.shown != Some((cue.ask, cue.trial)) {
             round.shown = Some((cue.ask, cue.trial));
             self.watch.begin_trial();
-            self.prompt(&cue);
+            if let Some(prompt) = self.board.look(CalibrationStatus::prompt) {
+                self.errors.say(prompt);
+            }
         }
         if cue.ask == Ask::Hold
             && let Some(trouble) = self.watch.trouble_now(cue.trial)
@@ -202,7 +236,8 @@ impl<'a> Live<'a> {
         }
         let (gesture, effort) = round.guide.effort();
         self.tell_simulated(gesture, effort);
-        self.show(&round.guide.cue());
+        self.show(round, &round.guide.cue());
+        self.errors.show(&self.board.look(|status| status.line(self.attendance.has_keys)));
         Ok(())
     }
 
@@ -231,7 +266,7 @@ impl<'a> Live<'a> {
         }
     }
 
-    /// Says what went wrong and what can be done. Without keys, it is done again at once, a few times.
+    /// Says what went wrong and what can be done. Without anybody to ask, it is done again at once, a few times.
     fn trouble(
         &mut self,
         round: &mut Round<'_>,
@@ -243,9 +278,7 @@ impl<'a> Live<'a> {
             // Another rest may have other electrodes.
             self.watch.forget_rest();
         }
-        if self.has_keys {
-            let keys = if is_labelled { "r: again, Enter: keep it as it is" } else { "Enter: again" };
-            self.errors.say(format!("! {trouble}\n  {keys}, q: stop"));
+        if self.attendance.has_somebody() {
             if !is_labelled && !round.aborted {
                 round.guide.redo();
                 round.aborted = true;
@@ -255,6 +288,13 @@ impl<'a> Live<'a> {
             }
             round.guide.wait();
             round.asks = true;
+            self.board.change(|status| {
+                status.trouble = Some(trouble.to_string());
+                status.may = round.may();
+            });
+            if let Some(line) = self.board.look(|status| status.trouble_line(self.attendance.has_keys)) {
+                self.errors.say(line);
+            }
             return Ok(());
         }
         round.tries += 1;
@@ -285,51 +325,17 @@ impl<'a> Live<'a> {
         }
     }
 
-    /// Says once what is asked now.
-    fn prompt(&self, cue: &Cue) {
-        let gesture = cue.trial.gesture;
-        match cue.ask {
-            Ask::Wait | Ask::Nothing => {}
-            Ask::Relax => self.errors.say(format!("relax; next: {gesture}")),
-            Ask::Hold => self.errors.say(asked(gesture)),
-        }
-    }
-
-    /// The line that follows the person.
-    fn show(&mut self, cue: &Cue) {
-        let gesture = cue.trial.gesture;
-        let what = match (cue.ask, cue.countdown_s()) {
-            (Ask::Wait, _) if self.has_keys => format!("Enter when you are ready; next: {gesture}"),
-            (Ask::Wait | Ask::Nothing, _) => String::new(),
-            (Ask::Relax, Some(seconds)) => format!("{gesture} in {seconds}"),
-            (Ask::Relax, None) => "relax".to_owned(),
-            (Ask::Hold, _) => format!("{} {:.1} s", gesture.name().to_uppercase(), cue.left_s),
-        };
+    /// Keeps the status current.
+    fn show(&mut self, round: &Round<'_>, cue: &Cue) {
         let level = self.watch.level();
         self.strongest_level = self.strongest_level.max(level);
         let share = (level - 1.0) / (self.strongest_level - 1.0);
-        let left_s = cue.all_left_s.ceil() as u64;
-        self.errors.show(&format!(
-            "{what:<26} {} {:>3.0} % done, {}:{:02} left",
-            bar(share),
-            100.0 * cue.progress,
-            left_s / 60,
-            left_s % 60
-        ));
+        let (_, asked_effort_share) = round.guide.effort();
+        self.board.change(|status| {
+            status.follow(cue, share, asked_effort_share);
+            status.may = round.may();
+        });
     }
-}
-
-/// What is asked of a gesture, in words.
-fn asked(gesture: Gesture) -> String {
-    if gesture == Gesture::REST {
-        return "rest: lay the arm down and relax".to_owned();
-    }
-    format!("{gesture}: from light to firm and back")
-}
-
-fn bar(share: f64) -> String {
-    let full = (share.clamp(0.0, 1.0) * BAR_WIDTH as f64).round() as usize;
-    format!("[{}{}]", "#".repeat(full), ".".repeat(BAR_WIDTH - full))
 }
 
 struct Round<'a> {
@@ -362,6 +368,14 @@ impl Round<'_> {
         self.guide.go_on();
     }
 
+    /// What somebody can say now.
+    fn may(&self) -> Vec<May> {
+        let go_on = if self.asks { !self.aborted } else { self.guide.cue().ask == Ask::Wait };
+        let redo = self.asks || self.guide.can_redo();
+        let may = [(May::GoOn, go_on), (May::Redo, redo), (May::Stop, true)];
+        may.into_iter().filter(|(_, is_so)| *is_so).map(|(may, _)| may).collect()
+    }
+
     /// The trial that has just ended is to be done once more.
     fn redo_trial(&mut self, trial: Trial) -> Result<(), Failure> {
         self.guide.redo();
@@ -379,24 +393,5 @@ impl Round<'_> {
         let asked = asked(gesture).split_once(": ").map_or(String::new(), |(_, how)| how.to_owned());
         let trial = RecordedTrial { gesture, repetition, asked, start_sample, end_sample };
         self.recorder.label(trial).map_err(Failure::running)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_bar_is_between_empty_and_full() {
-        assert_eq!(bar(-1.0), "[....................]");
-        assert_eq!(bar(0.5), "[##########..........]");
-        assert_eq!(bar(7.0), "[####################]");
-        assert_eq!(bar(f64::NAN), "[....................]");
-    }
-
-    #[test]
-    fn a_gesture_is_asked_from_light_to_firm_and_rest_is_not() {
-        assert_eq!(asked(Gesture::GRIP), "grip: from light to firm and back");
-        assert!(!asked(Gesture::REST).contains("firm"));
     }
 }

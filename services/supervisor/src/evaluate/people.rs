@@ -70,7 +70,7 @@ pub(super) fn dataset(options: &Options, option: &str) -> anyhow::Result<Dataset
         );
     }
     let config = options.base.configuration_of("tendon evaluate", &WINDOW_KEYS)?;
-    let settings = dataset_settings(&config, &[], options.recording.recording_rate_hz);
+    let settings = dataset_settings(&config, &[], &options.recording);
     let channels = channels_or_default(&options.recording.channels, &settings, &options.paths)?;
     Ok(DatasetSettings { channels, ..settings })
 }

@@ -60,7 +60,7 @@ pub fn calibrate(
 ) -> Result<People, Failure> {
     let config = personal_windows(config.clone(), options.sets(WINDOWS));
     let method = MethodSettings::default();
-    let dataset = personal::dataset_settings(&config, channels, options.recording.recording_rate_hz);
+    let dataset = personal::dataset_settings(&config, channels, &options.recording);
     let cohort = cohort(options, &dataset, &method)?;
     let calibrating = Calibrating { dataset: &dataset, method: &method, cohort: &cohort, layout };
     let mut fitted =

@@ -23,8 +23,8 @@ pub enum ListingError {
     /// A path without recordings.
     #[error(
         "{}: no recordings found{hint}; give folders ParticipantP/train/EMG or ParticipantP/test/EMG (3DC), files \
-         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), files .edf, .bdf or .xdf with \
-         annotations or markers, a folder with tables and a labels.csv, or a folder above such",
+         .mat or P<person>_C<cycle>_G<gesture>.csv (Ozdemir 2022), files .edf, .bdf, .xdf or .xdfz with \
+         annotations or markers, a folder with tables and a labels.csv, tables with --label-column, or a folder above such",
         .path.display()
     )]
     NoRecordings {
@@ -84,6 +84,17 @@ pub enum ListingError {
     NotFiltered {
         /// The first such file.
         file: PathBuf,
+    },
+    /// A column of labels was named, and there is no table for it.
+    #[error(
+        "--label-column is for tables of your own without a labels.csv, but {} is of the layout {layout}: leave it out",
+        .path.display()
+    )]
+    NoTable {
+        /// The first path found.
+        path: PathBuf,
+        /// Its layout.
+        layout: Layout,
     },
     /// Tables with labels, whose sampling rate was not given.
     #[error(

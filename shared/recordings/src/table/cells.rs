@@ -1,5 +1,7 @@
 //! Lines and cells of a text, and the numbers in them.
 
+use std::borrow::Cow;
+
 /// What ends a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Separator {
@@ -115,7 +117,7 @@ pub(super) fn is_missing(cell: &[u8]) -> bool {
 
 /// Whether a cell is a word by which tools write a missing sample.
 pub(super) fn is_missing_sample(cell: &[u8]) -> bool {
-    ["null", "na", "n/a", "none", "-"].iter().any(|word| cell.eq_ignore_ascii_case(word.as_bytes()))
+    ["null", "na", "n/a", "#n/a", "none", "-"].iter().any(|word| cell.eq_ignore_ascii_case(word.as_bytes()))
 }
 
 /// Whether bytes are UTF-8 without control characters.
@@ -124,9 +126,17 @@ pub(super) fn is_text(line: &[u8]) -> bool {
         .is_ok_and(|text| !text.chars().any(|character| character.is_control() && character != '\t'))
 }
 
+/// Text in UTF-8, or else in Latin-1, as German and French programs write names and units.
+pub(super) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
+    match std::str::from_utf8(bytes) {
+        Ok(text) => Cow::Borrowed(text),
+        Err(_) => Cow::Owned(bytes.iter().map(|byte| char::from(*byte)).collect()),
+    }
+}
+
 /// A cell as an error message shows it: the first 24 characters.
 pub(super) fn excerpt(cell: &[u8]) -> String {
-    String::from_utf8_lossy(cell).chars().take(24).collect()
+    text_of(cell).chars().take(24).collect()
 }
 
 /// One line of a text, without its newline.

@@ -1,7 +1,9 @@
 //! What the columns of a table are, and which of them are taken where nobody chooses.
 
+use std::collections::HashMap;
+
 use super::cells::{Cells, Separator, is_missing, line_at, without_quotes};
-use super::channel::Channel;
+use super::channel::{Channel, places};
 use super::column::{self, Column, ColumnKind, Shape, kind_of, truth_rank};
 use super::head::Head;
 use super::problem::{TableError, TableProblem, error_at};
@@ -65,6 +67,17 @@ pub(crate) fn columns_by_name(names: &[String]) -> Vec<Column> {
     names.iter().map(column).collect()
 }
 
+/// Where a column is.
+pub(crate) fn find(columns: &[Column], column: &Channel) -> Result<usize, TableError> {
+    let mut names: Vec<String> = columns.iter().map(|column| column.name.clone()).collect();
+    // Of a table without a header.
+    if names.iter().all(String::is_empty) {
+        names.clear();
+    }
+    let places = places(std::slice::from_ref(column), columns.len(), &names)?;
+    Ok(places.iter().position(Option::is_some).unwrap_or(0))
+}
+
 /// The column of labels that says what was done, by its name.
 pub(crate) fn truth(columns: &[Column]) -> Option<usize> {
     let labels = columns.iter().enumerate().filter(|(_, column)| column.kind == ColumnKind::Label);
@@ -119,8 +132,10 @@ pub fn muscles(columns: &[Column]) -> Result<Vec<Channel>, TableError> {
     let is_muscle = |column: &&Column| column.kind == ColumnKind::Muscle;
     let fastest_hz = columns.iter().filter(is_muscle).filter_map(|column| column.rate_hz).fold(0.0, f64::max);
     let is_fast = |column: &Column| column.rate_hz.is_none_or(|hz| hz >= fastest_hz * (1.0 - SAME_RATE));
+    let mut times: HashMap<&str, usize> = HashMap::new();
+    columns.iter().for_each(|column| *times.entry(&column.name).or_default() += 1);
     let channel = |(index, column): (usize, &Column)| {
-        let is_unique = columns.iter().filter(|other| other.name == column.name).count() == 1;
+        let is_unique = times[column.name.as_str()] == 1;
         match &column.name[..] {
             name if is_unique && !name.is_empty() && name.parse::<usize>().is_err() => Channel::from(name),
             _ => Channel::Index(index),

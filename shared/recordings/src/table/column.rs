@@ -139,6 +139,16 @@ impl Shape {
         self.steps >= ROWS_OF_A_SHAPE && self.is_whole && changes > 0 && 50 * changes <= self.steps
     }
 
+    /// Nothing but 0, or nothing but 1: an input that nothing is connected to.
+    fn is_idle_input(&self) -> bool {
+        let is_digital = self.last.is_some_and(|value| value == 0.0 || value == 1.0);
+        self.steps >= ROWS_OF_A_SHAPE && self.rises + self.falls == 0 && is_digital
+    }
+
+    fn is_empty(&self) -> bool {
+        self.rows > 0 && self.missing == self.rows
+    }
+
     /// Whether it ended while the table went on.
     fn ended_early(&self) -> bool {
         self.ends_missing && self.missing < self.rows
@@ -155,8 +165,10 @@ pub(super) fn kind_of(name: &str, unit: &str, shape: &Shape) -> ColumnKind {
             _ => ColumnKind::Label,
         },
         Some(ColumnKind::Muscle) if rises => ColumnKind::RisingMuscle,
+        Some(ColumnKind::Muscle) | None if shape.is_empty() => ColumnKind::Auxiliary,
         Some(ColumnKind::Muscle) | None if shape.ended_early() => ColumnKind::Auxiliary,
         Some(kind) => kind,
+        None if shape.is_idle_input() => ColumnKind::Auxiliary,
         None if shape.counts() => ColumnKind::Counter,
         None if shape.rises() => ColumnKind::Time,
         None if shape.is_of_steps() => ColumnKind::Label,

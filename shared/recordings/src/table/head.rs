@@ -9,12 +9,17 @@
 //! A line belongs to the table if it has a number, and the line after it has as many cells, with numbers and words in the
 //! same places. A missing sample fits anywhere.
 
-use super::cells::{Cells, Line, Separator, is_missing_sample, line_at, number, text_start, without_quotes};
+use super::cells::{
+    Cells, Line, Separator, excerpt, is_missing_sample, line_at, number, text_of, text_start, without_quotes,
+};
 use super::problem::{TableError, TableProblem, error_at};
 
 /// Longest beginning in which the first line of samples has to end, in bytes. What has no newline for so long is no table,
 /// and a file may be very large.
 pub(super) const LONGEST_HEAD: usize = 1 << 20;
+
+/// Rates that a line before the table may state for all its columns, Hz.
+const RATES_OF_EMG_HZ: std::ops::RangeInclusive<f64> = 50.0..=100_000.0;
 
 /// Most lines before the table.
 const MOST_LINES: usize = 1000;
@@ -33,6 +38,8 @@ pub(super) struct Head {
     pub(super) units: Vec<String>,
     /// Sampling rate of each column in Hz, where one is stated.
     pub(super) rates_hz: Vec<Option<f64>>,
+    /// Rates for all columns that cannot be taken: no EMG has them, or there are several.
+    pub(super) unclear_rates_hz: Vec<f64>,
     /// Where the first line of samples begins, in bytes.
     pub(super) position: usize,
     /// Lines before it.
@@ -84,6 +91,20 @@ impl HeadLine<'_> {
                 .all(|(own, other)| own == other || *own == Form::Missing || *other == Form::Missing)
     }
 
+    /// Whether its numbers are none of samples: they number the columns, as pandas writes where these have no names, or say
+    /// for each how many samples there are, as Biopac does. `next` is the line below.
+    fn counts_columns(&self, next: &HeadLine<'_>) -> bool {
+        let numbers: Vec<f64> =
+            Cells::of(self.content, self.separator).filter_map(|cell| number(cell, false)).collect();
+        let is_unlike_time = self.forms[0] == Form::Missing && next.forms[0] == Form::Number;
+        let is_whole = numbers.iter().all(|number| number.fract() == 0.0);
+        let is_numbered = numbers.iter().enumerate().all(|(index, number)| *number == index as f64);
+        let has_samples_below = next.content.iter().filter(|byte| **byte == b'.').count() > 1;
+        let is_equal = numbers.windows(2).all(|pair| pair[0] == pair[1]);
+        let is_numbered = is_numbered && numbers.len() >= 2 && has_samples_below;
+        self.words() == 0 && is_whole && (is_numbered || (is_equal && is_unlike_time && numbers.len() >= 2))
+    }
+
     fn has_as_many_cells(&self, other: &HeadLine<'_>) -> bool {
         self.separator == other.separator && self.forms.len() == other.forms.len()
     }
@@ -97,10 +118,23 @@ impl Head {
     pub(super) fn find(text: &[u8]) -> Result<Head, TableError> {
         let lines = head_lines(text)?;
         let Some(first) = first_of_table(&lines) else {
-            return Err(error_at(lines.last().map_or(1, |last| last.lines + 2), 1, TableProblem::Empty));
+            return Err(match &lines[..] {
+                // Names, and perhaps units.
+                [] | [_] | [_, _] => {
+                    error_at(lines.last().map_or(1, |last| last.lines + 2), 1, TableProblem::Empty)
+                }
+                [.., last] => error_at(last.lines + 1, 1, TableProblem::NoNumbers(excerpt(last.content))),
+            });
         };
-        let (before, table) = lines.split_at(first);
+        let begins_with_counts = lines.get(first + 1).is_some_and(|next| lines[first].counts_columns(next));
+        let (mut before, mut table) = lines.split_at(first);
+        if begins_with_counts {
+            table = &table[1..];
+        }
         let first = &table[0];
+        if let Some((_, others)) = before.split_last().filter(|(last, _)| last.counts_columns(first)) {
+            before = others;
+        }
         let columns = first.forms.len();
         let mut head = Head {
             separator: first.separator,
@@ -108,10 +142,18 @@ impl Head {
             names: Vec::new(),
             units: vec![String::new(); columns],
             rates_hz: vec![None; columns],
+            unclear_rates_hz: Vec::new(),
             position: first.start,
             lines: first.lines,
         };
-        let before = head.read_names(before, table);
+        let listed = before.iter().find_map(|line| listed_columns(&text_of(line.content), columns));
+        let before = match listed {
+            Some(names) => {
+                head.names = names;
+                before
+            }
+            None => head.read_names(before, table),
+        };
         head.read_preamble(before);
         Ok(head)
     }
@@ -124,12 +166,19 @@ impl Head {
     ) -> &'lines [HeadLine<'text>] {
         let mut left = before;
         while let Some((line, others)) = left.split_last() {
-            let Some(cells) = self.cells_of_columns(line, table) else { return left };
+            let Some(mut cells) = self.cells_of_columns(line, table) else { return left };
             left = others;
+            // LabChart begins a line with what it says: `ChannelTitle=`, `Range=`.
+            if cells[0].ends_with('=') {
+                cells[0].clear();
+            }
             if !cells.iter().all(|cell| cell.is_empty() || is_unit_or_rate(cell)) {
                 for (column, name) in cells.iter().enumerate() {
-                    if let Some(bracketed) = in_brackets(name) {
-                        self.note(column, bracketed);
+                    // Noraxon writes `"LT BICEPS,uV"`.
+                    let behind_comma =
+                        name.rsplit_once(',').map(|(_, unit)| unit).filter(|unit| is_unit(unit));
+                    if let Some(unit) = in_brackets(name).or(behind_comma) {
+                        self.note(column, unit);
                     }
                 }
                 self.names = cells;
@@ -144,7 +193,7 @@ impl Head {
 
     /// The cells of a line before the table, one for each column; `None` if it has more or fewer, or no word.
     fn cells_of_columns(&self, line: &HeadLine<'_>, table: &[HeadLine<'_>]) -> Option<Vec<String>> {
-        let text = String::from_utf8_lossy(line.content);
+        let text = text_of(line.content);
         let text = text.trim_matches(' ');
         let unmarked = text.trim_start_matches(['#', '%']);
         let has_word = |cells: &Vec<String>| {
@@ -166,6 +215,11 @@ impl Head {
             while cells.len() > self.columns && cells.last().is_some_and(String::is_empty) {
                 cells.pop();
             }
+            // Rows that end with a separator have an empty column more.
+            let ends_empty = table.iter().all(|line| line.forms.last() == Some(&Form::Missing));
+            if cells.len() + 1 == self.columns && ends_empty {
+                cells.push(String::new());
+            }
             // The column of the rows' numbers often has no name.
             if cells.len() + 1 == self.columns && self.columns > 2 && counts_rows(table) {
                 cells.insert(0, String::new());
@@ -181,8 +235,10 @@ impl Head {
     fn note(&mut self, column: usize, cell: &str) {
         if let Some(rate_hz) = rate_of_cell(cell) {
             self.rates_hz[column].get_or_insert(rate_hz);
-        } else if is_unit(cell) && self.units[column].is_empty() {
-            unbracketed(cell).clone_into(&mut self.units[column]);
+        } else if self.units[column].is_empty()
+            && let Some(unit) = unit_of_quantity(cell).or_else(|| is_unit(cell).then(|| unbracketed(cell)))
+        {
+            unit.clone_into(&mut self.units[column]);
         }
     }
 
@@ -192,7 +248,7 @@ impl Head {
         let has_comma = self.separator != Separator::Byte(b',');
         let mut of_all: (Vec<f64>, Vec<String>) = (Vec::new(), Vec::new());
         for line in before {
-            let text = String::from_utf8_lossy(line.content);
+            let text = text_of(line.content);
             let (rate_hz, unit) = (stated_rate(&text, has_comma), stated_unit(&text));
             let label = labelled(&text);
             match label.and_then(|label| self.names.iter().position(|name| name.eq_ignore_ascii_case(label)))
@@ -210,10 +266,13 @@ impl Head {
             }
         }
         // Several that differ say nothing about any one column.
-        if let [rate_hz, others @ ..] = &of_all.0[..]
-            && others.iter().all(|other| other == rate_hz)
-        {
-            self.rates_hz.iter_mut().for_each(|own| *own = own.or(Some(*rate_hz)));
+        let (of_emg, unlikely): (Vec<f64>, Vec<f64>) =
+            of_all.0.iter().partition(|rate_hz| RATES_OF_EMG_HZ.contains(rate_hz));
+        match &of_emg[..] {
+            [rate_hz, others @ ..] if others.iter().all(|other| other == rate_hz) => {
+                self.rates_hz.iter_mut().for_each(|own| *own = own.or(Some(*rate_hz)));
+            }
+            _ => self.unclear_rates_hz = [of_emg, unlikely].concat(),
         }
         if let [unit, others @ ..] = &of_all.1[..]
             && others.iter().all(|other| other == unit)
@@ -304,6 +363,17 @@ fn first_of_table(lines: &[HeadLine<'_>]) -> Option<usize> {
         .or_else(|| with_number.next())
 }
 
+/// The names that OpenSignals lists in a comment: `# {"…": {"column": ["nSeq", "I1", "A1"], …}}`. Its rows end with a tab.
+fn listed_columns(line: &str, columns: usize) -> Option<Vec<String>> {
+    let list = line.split_once("\"column\":")?.1.trim_start().strip_prefix('[')?.split_once(']')?.0;
+    let mut names: Vec<String> =
+        list.split(',').map(|name| name.trim().trim_matches('"').to_owned()).collect();
+    if names.len() + 1 == columns {
+        names.push(String::new());
+    }
+    (names.len() == columns).then_some(names)
+}
+
 /// Whether the first column of a table has the numbers of the rows.
 fn counts_rows(table: &[HeadLine<'_>]) -> bool {
     let row = |line: &HeadLine<'_>| {
@@ -357,7 +427,7 @@ pub(super) fn in_brackets(name: &str) -> Option<&str> {
 }
 
 /// Units of what sensors measure, in lower case.
-const UNITS: [&str; 36] = [
+const UNITS: [&str; 37] = [
     "v",
     "mv",
     "uv",
@@ -393,6 +463,7 @@ const UNITS: [&str; 36] = [
     "nm",
     "°c",
     "counts",
+    "adc_counts",
     "a.u.",
 ];
 
@@ -402,14 +473,18 @@ fn is_unit(cell: &str) -> bool {
 }
 
 fn is_unit_or_rate(cell: &str) -> bool {
-    is_unit(cell) || rate_of_cell(cell).is_some() || unbracketed(cell) == "-" || is_period(cell)
+    is_unit(cell)
+        || rate_of_cell(cell).is_some()
+        || unbracketed(cell) == "-"
+        || unit_of_quantity(cell).is_some()
 }
 
-/// `0.000794 s`.
-fn is_period(cell: &str) -> bool {
+/// The unit of a number, which is a period or a range: `0.000794 s`, `10.000 mV`.
+fn unit_of_quantity(cell: &str) -> Option<&str> {
     let cell = unbracketed(cell);
     let digits = cell.trim_end_matches(|character: char| character.is_alphabetic() || character == ' ');
-    digits.len() < cell.len() && number(digits.as_bytes(), true).is_some() && is_unit(&cell[digits.len()..])
+    let unit = cell[digits.len()..].trim();
+    (number(digits.as_bytes(), true).is_some() && is_unit(unit)).then_some(unit)
 }
 
 /// The rate in a cell that holds nothing else: `1259.2593 Hz`, or `(1925.926)` behind a name.
@@ -429,25 +504,71 @@ fn is_rate(hz: f64) -> bool {
     hz.is_finite() && hz > 0.0 && hz < 1e7
 }
 
-/// The sampling rate that a line states in words: `Sample Rate = 250 Hz`, `Sampling frequency: 1925.926 Unit: V`.
+/// The sampling rate that a line states in words: `Sample Rate = 250 Hz`, `Sampling frequency [1/s]: 2000 Unit: V`. It is the
+/// first number with a unit of rates, or else the first one behind the word and its separator.
 fn stated_rate(line: &str, has_decimal_comma: bool) -> Option<f64> {
     let lower = line.to_ascii_lowercase();
     let sampling = lower.find("sampl")?;
-    let after = &lower[sampling..];
-    let word = ["rate", "frequency", "freq"]
+    let text = &lower[sampling..];
+    let word = ["rate", "freq"].iter().filter_map(|word| text.find(word).map(|at| at + word.len())).min();
+    let separator = word.map(|word| text[word..].find([':', '=']).map_or(word, |at| word + at));
+    let mut start = 0;
+    let mut brackets = 0;
+    while let Some(character) = text[start..].chars().next() {
+        match character {
+            '[' | '(' => brackets += 1,
+            ']' | ')' => brackets -= 1,
+            _ => {}
+        }
+        if !character.is_alphanumeric() {
+            start += character.len_utf8();
+            continue;
+        }
+        // A word with digits, such as CH1, is no number.
+        let run = &text[start..];
+        let is_part = |(at, character): (usize, char)| {
+            let is_within = run[at + character.len_utf8()..].starts_with(|next: char| next.is_ascii_digit());
+            character.is_ascii_digit() || (matches!(character, '.' | ',') && is_within)
+        };
+        let digits = run.char_indices().find(|part| !is_part(*part)).map_or(run.len(), |(at, _)| at);
+        if digits == 0 {
+            start += run.find(|character: char| !character.is_alphanumeric()).unwrap_or(run.len());
+            continue;
+        }
+        let unit = unit_of_rate_hz(run[digits..].trim_start());
+        let is_behind = brackets == 0 && separator.is_some_and(|separator| start >= separator);
+        if unit.is_some() || is_behind {
+            let hz = rate_of_digits(&run[..digits], has_decimal_comma)? * unit.unwrap_or(1.0);
+            return Some(hz).filter(|hz| is_rate(*hz));
+        }
+        start += digits;
+    }
+    None
+}
+
+/// The unit of rates with which a text begins, in Hz.
+fn unit_of_rate_hz(text: &str) -> Option<f64> {
+    let (factor, text) = match text.strip_prefix('k') {
+        Some(rest) => (1000.0, rest),
+        None => (1.0, text),
+    };
+    ["hz", "sps", "s/s", "samples/s", "samples per s"]
         .iter()
-        .filter_map(|word| after.find(word).map(|at| at + word.len()))
-        .min()?;
-    let after = &after[word..];
-    let start = after.find(|character: char| character.is_ascii_digit())?;
-    let end = after[start..]
-        .find(|character: char| {
-            !(character.is_ascii_digit() || character == '.' || (has_decimal_comma && character == ','))
-        })
-        .map_or(after.len(), |length| start + length);
-    let factor = if after[end..].trim_start().starts_with("khz") { 1000.0 } else { 1.0 };
-    let digits = after[start..end].trim_end_matches(['.', ',']);
-    number(digits.as_bytes(), has_decimal_comma).map(|rate| rate * factor).filter(|hz| is_rate(*hz))
+        .any(|unit| text.starts_with(unit))
+        .then_some(factor)
+}
+
+/// The number that digits write, with a decimal comma or with commas between thousands.
+fn rate_of_digits(digits: &str, has_decimal_comma: bool) -> Option<f64> {
+    let decimal = number(digits.as_bytes(), has_decimal_comma);
+    if decimal.is_some_and(|hz| RATES_OF_EMG_HZ.contains(&hz)) {
+        return decimal;
+    }
+    let mut groups = digits.split(',');
+    let first = groups.next()?;
+    let mut others = groups.clone().peekable();
+    let has_thousands = first.len() <= 3 && others.peek().is_some() && others.all(|group| group.len() == 3);
+    if has_thousands { digits.replace(',', "").parse().ok() } else { decimal.or_else(|| first.parse().ok()) }
 }
 
 /// The unit that a line states in words: `Unit: V`.
@@ -464,4 +585,51 @@ fn labelled(line: &str) -> Option<&str> {
     let label = line.strip_prefix("Label:")?.trim_start();
     let end = label.find("  ").or_else(|| label.find('\t')).or_else(|| label.find(" Sampling"));
     Some(label[..end.unwrap_or(label.len())].trim())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_in_words_is_the_number_that_belongs_to_it() {
+        for (line, comma, rate_hz) in [
+            ("Sample Rate = 250 Hz", false, Some(250.0)),
+            ("%Sample Rate = 250.0 Hz", false, Some(250.0)),
+            ("Sampling frequency: 1925.926 Unit: V  Domain: Time", false, Some(1925.926)),
+            ("Sampling frequency [1/s]: 2000", false, Some(2000.0)),
+            ("Sampling rate CH1 = 2000", false, Some(2000.0)),
+            ("Sampling rate: 2,000 Hz", false, Some(2000.0)),
+            ("Sampling rate: 2,000 Hz", true, Some(2000.0)),
+            ("Samplerate;1259,2593 Hz", true, Some(1259.2593)),
+            ("Sampling rate: 2 kSps", false, Some(2000.0)),
+            ("Sample rate: 2.5 kHz", false, Some(2500.0)),
+            ("Sampling 2000 Hz; low-pass cutoff frequency: 450 Hz", false, Some(2000.0)),
+            ("Sampling rate = 2000, filter 20-450 Hz", false, Some(2000.0)),
+            ("Sampled 2024-03-01, rate 2000 Hz", false, Some(2000.0)),
+            ("Sampling rate (Hz),1000", false, Some(1000.0)),
+            ("Sampling rate (1000 Hz)", false, Some(1000.0)),
+            ("Sampling rate,1000,500", false, Some(1000.0)),
+            ("{\"sync interval\": 2, \"sampling rate\": 1000, \"resolution\": [4, 1]}", false, Some(1000.0)),
+            ("Number of samples: 20000", false, None),
+            ("Frequency: 2000 Hz", false, None),
+            ("Sampling rate CH1", false, None),
+        ] {
+            assert_eq!(stated_rate(line, comma), rate_hz, "{line}");
+        }
+    }
+
+    #[test]
+    fn rates_that_no_emg_has_and_several_are_not_taken_but_named() {
+        let head =
+            |lines: &str| Head::find(format!("{lines}\na,b\n{}", "0.5,1.5\n".repeat(9)).as_bytes()).unwrap();
+        for (lines, rate_hz, unclear_hz) in [
+            ("Sampling rate: 2 Hz", None, vec![2.0]),
+            ("Sampling rate: 1000 Hz\nSampling rate: 2000 Hz", None, vec![1000.0, 2000.0]),
+            ("Sampling rate: 1000 Hz\nSampling rate: 2 Hz", Some(1000.0), vec![]),
+        ] {
+            let head = head(lines);
+            assert_eq!((head.rates_hz[0], &head.unclear_rates_hz), (rate_hz, &unclear_hz), "{lines}");
+        }
+    }
 }

@@ -20,6 +20,12 @@ pub enum TableProblem {
     /// There is no line with numbers.
     #[error("the file has no samples: record it again or leave it out")]
     Empty,
+    /// Many lines, none with a number.
+    #[error(
+        "no line up to this one, which begins with `{0}`, holds samples: write them as numbers such as -12 or 0.5e-3, with a \
+         decimal comma only between tabs or ;, and with no more than 1000 lines before them"
+    )]
+    NoNumbers(String),
     /// A blank line with samples after it.
     #[error("blank line before the end: delete it, or cut the file in two if samples were lost here")]
     BlankLine,
@@ -119,6 +125,9 @@ impl Eq for Rate {}
 
 impl fmt::Display for Rate {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.abs() >= 1e9 {
+            return write!(out, "{:.3e}", self.0);
+        }
         let text = format!("{:.3}", self.0);
         out.write_str(text.trim_end_matches('0').trim_end_matches('.'))
     }

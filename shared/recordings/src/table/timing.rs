@@ -1,9 +1,10 @@
 //! The rate of a table, and the column by which its missing samples are seen.
 
+use std::collections::VecDeque;
 use std::fmt;
 
 use super::Table;
-use super::clock::Measured;
+use super::clock::{Clock, ROWS_OF_A_CHECK, gaps_of_counter};
 use super::column::{Column, ColumnKind};
 use super::problem::{Rate, TableError, TableProblem, error_at};
 
@@ -15,6 +16,10 @@ pub(super) const SAME_RATE: f64 = 0.01;
 pub struct Timing {
     /// Its sampling rate in Hz, if it tells.
     pub rate_hz: Option<f64>,
+    /// Share by which the stamps leave that open.
+    pub uncertainty: f64,
+    /// Rates that its first lines state, and none can be taken: no EMG has them, or they differ.
+    pub unclear_hz: Vec<Rate>,
     /// What its user should know.
     pub remark: Option<TimingRemark>,
 }
@@ -62,9 +67,18 @@ impl fmt::Display for TimingRemark {
     }
 }
 
+impl Timing {
+    /// Whether the samples may have been taken at this rate, by what the table says.
+    pub fn allows(&self, given_hz: f64) -> bool {
+        self.rate_hz.is_none_or(|own_hz| {
+            is_same_rate(given_hz, own_hz) || (given_hz - own_hz).abs() <= self.uncertainty * own_hz
+        })
+    }
+}
+
 impl Table {
-    /// Finds the sampling rate in what the head states and in the column of time, and watches that column, or a counter,
-    /// for missing samples from now on. `columns` are what [`columns`] gives for `text`, of which nothing has been read.
+    /// Finds the sampling rate in what the head states and in the column of time, and the missing samples
+    /// in that column or in a counter. `columns` are what [`columns`] gives for `text`, of which nothing has been read.
     ///
     /// # Errors
     /// When the chosen columns have different rates.
@@ -75,45 +89,57 @@ impl Table {
             columns[column].rate_hz.or_else(|| columns[before?].rate_hz)
         };
         let stated_hz = self.common_rate(&chosen, stated)?;
-        let measure = |column| Measured::of_time(text, self.position, self.separator, column, self.has_comma);
-        // Each channel may have a column of time of its own, left of it.
-        let time_of = |column: usize| {
-            let is_time = |index: &usize| columns[*index].kind == ColumnKind::Time;
-            (0..column).rev().find(is_time).or_else(|| (0..columns.len()).find(is_time))
+        let measure = |column, most_rows| {
+            let (separator, has_comma) = (self.separator, self.has_comma);
+            Clock::of_time(text, self.position, separator, column, has_comma, most_rows)
         };
-        let mut timing = Timing { rate_hz: stated_hz, remark: None };
-        let time = chosen.first().and_then(|first| time_of(*first));
-        let measured = time.and_then(|time| Some((time, measure(time)?)));
-        if let Some((time, measured)) = measured {
-            let rate_of = |column| measure(time_of(column)?)?.rate_hz(&columns[time_of(column)?].unit);
-            self.common_rate(&chosen, rate_of)?;
-            let unit = &columns[time].unit;
-            let name = || self.name(time);
-            let rate_hz = measured.rate_hz(unit);
-            timing = match (rate_hz, stated_hz) {
-                // Both know: the stated one is exact.
-                (Some(rate_hz), Some(stated_hz)) if is_same_rate(rate_hz, stated_hz) => timing,
-                (Some(_), Some(_)) if measured.may_count_rows(unit) => timing,
-                (Some(rate_hz), Some(stated_hz)) => {
-                    let (rate, stated_hz) = (Rate(rate_hz), Rate(stated_hz));
-                    let remark = TimingRemark::StatedOtherwise { column: name(), rate_hz: rate, stated_hz };
-                    Timing { rate_hz: Some(rate_hz), remark: Some(remark) }
-                }
-                (Some(rate_hz), None) => {
-                    let is_unsure = measured.may_count_rows(unit);
-                    let remark = is_unsure.then(|| TimingRemark::TakenAsMilliseconds { column: name() });
-                    Timing { rate_hz: Some(rate_hz), remark }
-                }
-                (None, _) => timing,
-            };
-            self.clock = Some(measured.clock);
-        } else {
+        // Each channel may have a column of time of its own, left of it.
+        let times_of = |column: usize| {
+            let is_time = |index: &usize| columns[*index].kind == ColumnKind::Time;
+            (0..column).rev().chain(column..columns.len()).filter(is_time)
+        };
+        let unclear_hz = self.unclear_rates_hz.iter().copied().map(Rate).collect();
+        let mut timing = Timing { rate_hz: stated_hz, unclear_hz, ..Timing::default() };
+        let first = chosen.first().copied().unwrap_or_default();
+        let measured = times_of(first).find_map(|time| Some((time, measure(time, usize::MAX)?)));
+        let Some((time, clock)) = measured else {
             let counter = (0..columns.len()).find(|index| columns[*index].kind == ColumnKind::Counter);
-            self.clock = counter.and_then(|counter| {
-                Measured::of_counter(text, self.position, self.separator, counter, self.has_comma)
+            self.gaps = counter.map_or_else(VecDeque::new, |counter| {
+                gaps_of_counter(text, self.position, self.separator, counter, self.has_comma).into()
             });
-            timing.remark = time.map(|time| TimingRemark::Bursts { column: self.name(time) });
-        }
+            timing.remark =
+                times_of(first).next().map(|time| TimingRemark::Bursts { column: self.name(time) });
+            return Ok(timing);
+        };
+        let unit = &columns[time].unit;
+        let rate_hz = clock.rate_hz(unit);
+        let rate_of = |column| {
+            times_of(column).find_map(|own| match own == time {
+                true => Some(rate_hz),
+                false => Some(measure(own, ROWS_OF_A_CHECK)?.rate_hz(&columns[own].unit)),
+            })?
+        };
+        self.common_rate(&chosen, rate_of)?;
+        let name = || self.name(time);
+        let measured = Timing { rate_hz, uncertainty: clock.uncertainty, ..timing };
+        let (rate_hz, remark) = match (rate_hz, stated_hz) {
+            // Both know: the stated one is exact.
+            (Some(_), Some(stated_hz)) if measured.allows(stated_hz) => (Some(stated_hz), None),
+            (Some(_), Some(stated_hz)) if clock.may_count_rows(unit) => (Some(stated_hz), None),
+            (Some(rate_hz), Some(stated_hz)) => {
+                let (rate, stated_hz) = (Rate(rate_hz), Rate(stated_hz));
+                let remark = TimingRemark::StatedOtherwise { column: name(), rate_hz: rate, stated_hz };
+                (Some(rate_hz), Some(remark))
+            }
+            (Some(rate_hz), None) => {
+                let is_unsure = clock.may_count_rows(unit);
+                let remark = is_unsure.then(|| TimingRemark::TakenAsMilliseconds { column: name() });
+                (Some(rate_hz), remark)
+            }
+            (None, _) => (stated_hz, None),
+        };
+        let timing = Timing { rate_hz, remark, ..measured };
+        self.gaps = clock.gaps.into();
         Ok(timing)
     }
 

@@ -25,6 +25,15 @@ pub(super) struct Stretch {
 }
 
 impl Stretch {
+    /// From one sample to the next by the median of the slopes between stamps a quarter of the stretch apart.
+    pub(super) fn usual_period_s(&self, stamps_s: &[f64], clock: &Clock) -> f64 {
+        let first = self.first_sample as usize;
+        let stamps_s = &stamps_s[first..first + self.samples as usize];
+        let lag = (stamps_s.len() / 4).max(1);
+        let rise_s = |pair: (&f64, &f64)| clock.corrected(*pair.1) - clock.corrected(*pair.0);
+        median(stamps_s.iter().zip(&stamps_s[lag..]).map(rise_s)) / lag as f64
+    }
+
     /// Time of its sample number `sample`, or of one that would follow.
     pub(super) fn time_of(&self, sample: u64) -> f64 {
         self.start_s + sample as f64 * self.period_s
