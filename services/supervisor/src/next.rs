@@ -14,10 +14,10 @@ use serde::{Deserialize, Serialize};
 use tendon_config::{Config, Source};
 use tendon_gesture::Strategy;
 use tendon_people::PersonName;
-use tendon_process::{Next, NextSession, PAGE_VARIABLE, PageKeys};
+use tendon_process::{Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys};
 
 use crate::options::Options;
-use crate::{Arguments, Failure, provenance, zones};
+use crate::{Arguments, Failure, calibrate, provenance, zones};
 
 /// Options of `tendon run` that the next session may have others of.
 const PERSON: &str = "--person";
@@ -116,7 +116,7 @@ pub fn why_not(options: &Options, config: &Config) -> Option<&'static str> {
 pub fn command_line_after(run: &[String], strategy: Strategy, next: &Next) -> anyhow::Result<Vec<String>> {
     match next {
         Next::Session(next) => session_after(run, strategy, next),
-        Next::Calibrate(_) => bail!("a calibration is started by hand: tendon calibrate NAME"),
+        Next::Calibrate(wanted) => calibration_after(run, wanted),
     }
 }
 
@@ -147,14 +147,34 @@ pub fn session_after(run: &[String], strategy: Strategy, next: &NextSession) -> 
     Ok(command_line)
 }
 
-/// Checks a session as far as it can be without beginning it.
-fn check(command_line: &[String]) -> anyhow::Result<()> {
-    let parsed = Arguments::try_parse_from(command_line).map_err(|error| {
+/// The command line of a calibration with the source and settings of the session of `run`.
+///
+/// # Errors
+///
+/// When it would be refused if it were typed; in words.
+fn calibration_after(run: &[String], wanted: &NextCalibration) -> anyhow::Result<Vec<String>> {
+    let crate::Command::Run(options) = read(run)? else { bail!("a calibration follows on a session only") };
+    let (config, _folder) = options.configuration()?;
+    calibrate::command_line(wanted, (&options.base, &config), &options.page, &[])
+}
+
+/// Reads a command line.
+///
+/// # Errors
+///
+/// What is wrong with it, in words.
+pub fn read(command_line: &[String]) -> anyhow::Result<crate::Command> {
+    let read = Arguments::try_parse_from(command_line).map_err(|error| {
         let text = error.to_string();
         let first = text.lines().next().unwrap_or_default();
         anyhow!("{}", first.trim_start_matches("error: ").to_owned())
     })?;
-    let crate::Command::Run(options) = parsed.command else { bail!("tendon run is what follows") };
+    Ok(read.command)
+}
+
+/// Checks a session as far as it can be without beginning it.
+fn check(command_line: &[String]) -> anyhow::Result<()> {
+    let crate::Command::Run(options) = read(command_line)? else { bail!("tendon run is what follows") };
     let (config, _folder) = options.configuration()?;
     // It looks at the models and the person.
     provenance::of_session(&config)?;

@@ -64,10 +64,10 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         });
     }
     let names = source.chosen();
-    let constant = constant.into_iter().map(|(channel, value)| {
-        let channel = names[channel].clone();
-        Notice::Constant { path: path.to_owned(), channel, value }
-    });
+    let constant: Vec<(String, f32)> =
+        constant.into_iter().map(|(channel, value)| (names[channel].clone(), value)).collect();
+    let constant =
+        (!constant.is_empty()).then(|| Notice::Constant { path: path.to_owned(), channels: constant });
     let notices = source.notices().iter().cloned().chain(constant).collect();
     let mut samples = 0;
     let cues = source.segments().iter().zip(counts).map(|(segment, count)| {
