@@ -135,14 +135,19 @@ impl Reader {
                 task = Task::new(daqmx, &self.settings, self.sample_rate_hz).ok();
                 continue;
             };
-            let began = Instant::now();
+            let (began, first) = (Instant::now(), numbers.next);
             let error = match self.read(&running, &mut numbers, says_resumed) {
                 Ok(()) => return,
                 Err(error) => error,
             };
             let trouble = error.trouble();
+            let acquired = numbers.next != first;
+            if acquired && trouble != Trouble::Overrun {
+                // It was back, and is gone once more.
+                told = Told::default();
+            }
             let is_due = told.is_due(trouble, Instant::now());
-            says_resumed = Some(is_due);
+            says_resumed = Some(is_due || (!acquired && says_resumed == Some(true)));
             match trouble {
                 _ if !is_due => {}
                 Trouble::Overrun => tracing::warn!("{error}"),
