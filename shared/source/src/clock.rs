@@ -23,7 +23,7 @@ const SEVERAL: u32 = 5;
 /// Maps the time of a device to CLOCK_MONOTONIC, whatever its offset and its (constant) drift, from the times at which
 /// its blocks were received. A delay that all blocks have cannot be told from an offset.
 ///
-/// Blocks that come late stay late, however long that lasts: the line rises by [`MOST_DRIFT`] at most.
+/// Blocks that come late stay late, however long that lasts: the line rises by 1 ms in a second at most.
 #[derive(Clone, Debug, Default)]
 pub struct DeviceClock {
     /// Of each completed interval, the point with the least difference.
