@@ -99,6 +99,24 @@ fn a_muovi_dials_in_its_losses_are_counted_exactly_and_it_is_found_again() {
 }
 
 #[test]
+fn a_sessantaquattro_runs_a_session_and_a_quattrocento_says_which_rates_it_has() {
+    let address = SocketAddr::from(([127, 0, 0, 1], free_port())).to_string();
+    let settings = ["device=sessantaquattro".to_owned(), format!("address={address}")];
+    let settings = settings.map(|setting| format!("acquisition.otb.{setting}"));
+    let mut tendon = session("otb", &settings).start();
+    let _emulator =
+        Sender::start(program("tendon-otb-emulator"), &["sessantaquattro", "--connect", &address]);
+    tendon
+        .wait_for_output("Sessantaquattro+ at 127.0.0.1, 2000 Hz, channels EMG 1, EMG 2, EMG 3, EMG 4 in mV");
+    tendon.wait_for_blocks();
+    tendon.signal(Signal::SIGINT);
+    let report = tendon.end().report();
+    assert_eq!((report.lost_samples, report.restarts), (0, 0), "{report:#?}");
+    let refused = session("otb", &["acquisition.otb.device=quattrocento".to_owned()]).end();
+    refused.assert_failed(2, &["a Quattrocento has no rate of 2000 Hz: take 512, 2048"]);
+}
+
+#[test]
 fn a_trigno_server_is_set_up_checked_and_found_again() {
     let (commands, emg) = (free_port(), free_port());
     let mut emulator = Sender::start(
@@ -112,8 +130,12 @@ fn a_trigno_server_is_set_up_checked_and_found_again() {
         "acquisition.unit=uV".to_owned(),
     ];
     let mut tendon = session("delsys", &settings).start();
+    // Before the session begins: it waits for the server, as it does later.
+    tendon.before_the_start(|| emulator.say("close"));
     tendon.wait_until_running();
+    wait_for_error(&tendon, "closed");
     tendon.wait_for_output("slot 1, slot 2, slot 5, slot 7 in uV");
+    tendon.wait_for_blocks();
     emulator.say("stuck 1");
     wait_for_error(&tendon, "slot 1: its value has not changed for 50 ms");
     wait_for_error(&tendon, "slot 1: the sensor is back");

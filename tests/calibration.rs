@@ -243,6 +243,56 @@ fn a_stranger_is_calibrated_from_the_page_alone() {
 }
 
 #[test]
+fn the_page_leads_from_a_session_into_a_calibration_and_back() {
+    let people = tempfile::tempdir().unwrap();
+    let short = ["--gestures", "extension", "--rest", "2s", "--hold", "1s", "--pause", "1s"];
+    let page = ["--page", "--page-port", "0"];
+    let tendon = calibrate(people.path(), "stranger-20", &page).args(&short).start();
+    let page = Page(&tendon);
+    let link = |tendon: &Tendon| tendon.errors_so_far().matches("page: http://").count();
+    page.wait_for("somebody to be asked for", |status| status["may"][0] == "go-on");
+    page.say("go-on");
+    // Stopped in the middle: nobody is kept, and what was recorded is.
+    page.wait_for("a gesture", |status| status["ask"] == "hold" && status["gesture"] == "extension");
+    page.say("stop");
+    page.wait_for_phase("stopped");
+    assert!(labels(people.path()).contains("rest"), "{}", labels(people.path()));
+    let anna = json!({"name": "anna", "gestures": ["extension", "grip"]});
+    for (refused, why) in [
+        (json!({"calibrate": {"name": "../x"}}), "no name for a person"),
+        (json!({"calibrate": {"name": "anna", "gestures": ["fist"]}}), "cannot make all gestures"),
+        (json!({"session": {"person": "anna"}}), "anna"),
+    ] {
+        let answer = page.ask(json!({ "next": refused }));
+        assert!(!answer.ok && answer.text.contains(why), "{why}: {answer:?}");
+    }
+    // The same once more, at the same page, with the same times.
+    assert!(page.ask(json!({"next": {"calibrate": anna}})).ok);
+    page.wait_for("the next calibration", |status| status["phase"] == "cues" && status["may"][0] == "go-on");
+    page.say("go-on");
+    page.wait_for_phase("done");
+    assert!(page.ask(json!({"next": {"session": {"person": "anna"}}})).ok);
+    let session = || serde_json::from_str::<Value>(&session_status(tendon.session()).ok()?).ok();
+    wait_until("a session with the person", || {
+        let desk = session()?["desk"].take();
+        (desk["kind"] == "session" && desk["person"] == "anna" && desk["can"]["next"] == true).then_some(())
+    });
+    // In a session, a calibration that could not begin is refused before anything ends.
+    let taken = page.ask(json!({"next": {"calibrate": anna}}));
+    assert!(!taken.ok && taken.text.contains("there is a person `anna` already"), "{taken:?}");
+    assert!(page.ask(json!({"next": {"calibrate": {"name": "bert", "gestures": ["grip"]}}})).ok);
+    let bert = page.wait_for("the calibration of somebody else", |status| status["name"] == "bert");
+    assert_eq!(bert["phase"], "cues", "{bert}");
+    wait_until("the page of each", || (link(&tendon) >= 4).then_some(()));
+    let errors = tendon.errors_so_far();
+    let links: std::collections::BTreeSet<&str> =
+        errors.lines().filter(|line| line.starts_with("page: ")).collect();
+    assert_eq!(links.len(), 1, "one address and one token throughout: {links:?}");
+    tendon.signal(Signal::SIGTERM);
+    assert_done(&tendon.end());
+}
+
+#[test]
 fn a_gesture_that_is_not_made_is_noticed_and_the_person_is_not_kept() {
     let people = tempfile::tempdir().unwrap();
     let mut profile = Profile::default();

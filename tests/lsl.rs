@@ -141,22 +141,27 @@ fn a_stream_that_ends_or_falls_silent_is_said_and_found_again() {
     let Some(network) = Network::new() else { return };
     let emulator = network.emulator(&[]);
     let mut tendon = network.read().start();
+    // Before the session begins: it waits for the stream, as it does later.
+    tendon.before_the_start(|| drop(emulator));
     tendon.wait_until_running();
+    wait_for_error(&mut tendon, "has ended, or the connection to it: the arm stops", 1);
+    let emulator = network.emulator(&[]);
+    wait_for_error(&mut tendon, ") is back", 1);
     emulator.signal(Signal::SIGKILL);
     drop(emulator);
-    wait_for_error(&mut tendon, "has ended, or the connection to it: the arm stops", 1);
+    wait_for_error(&mut tendon, "has ended, or the connection to it: the arm stops", 2);
     // Another one of that name with another rate is none that the session can take.
     let other = network.emulator(&["--rate-hz", "1000"]);
     wait_for_error(&mut tendon, "its rate or format has changed", 1);
     drop(other);
     let emulator = network.emulator(&[]);
     let returned = Instant::now();
-    wait_for_error(&mut tendon, ") is back", 1);
+    wait_for_error(&mut tendon, ") is back", 2);
     println!("found again after {:?}", returned.elapsed());
     emulator.signal(Signal::SIGSTOP);
     wait_for_error(&mut tendon, "sends no samples", 1);
     emulator.signal(Signal::SIGCONT);
-    wait_for_error(&mut tendon, ") is back", 2);
+    wait_for_error(&mut tendon, ") is back", 3);
     tendon.signal(Signal::SIGTERM);
     let report = tendon.end().report();
     assert_eq!(report.restarts, 0, "{report:#?}");

@@ -56,15 +56,21 @@ fn a_device_that_is_unplugged_stops_the_arm_and_is_found_again() {
     let folder = tempfile::tempdir().unwrap();
     let control = folder.path().join("control");
     let mut tendon = session(&control, &["--duration", "60s"]).start();
-    tendon.wait_until_running();
-    let says = |tendon: &Tendon, text: &str| {
-        wait_until(text, || tendon.errors_so_far().contains(text).then_some(()));
+    let says = |tendon: &Tendon, text: &str, times: usize| {
+        wait_until(text, || (tendon.errors_so_far().matches(text).count() >= times).then_some(()));
     };
-    std::fs::write(&control, "unplugged").unwrap();
-    says(&tendon, "plug it in again");
-    std::fs::remove_file(&control).unwrap();
-    says(&tendon, "the device acquires again");
-    tendon.wait_for_blocks();
+    // Before the session begins, and while it runs.
+    tendon.before_the_start(|| std::fs::write(&control, "unplugged").unwrap());
+    tendon.wait_until_running();
+    for times in 1..=2 {
+        says(&tendon, "plug it in again", times);
+        std::fs::remove_file(&control).unwrap();
+        says(&tendon, "the device acquires again", times);
+        tendon.wait_for_blocks();
+        if times == 1 {
+            std::fs::write(&control, "unplugged").unwrap();
+        }
+    }
     tendon.signal(nix::sys::signal::Signal::SIGINT);
     let report = tendon.end().report();
     assert!(report.lost_samples > 0, "{report:#?}");

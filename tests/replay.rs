@@ -52,8 +52,12 @@ fn at_full_speed_every_block_and_window_of_a_table_comes_through() {
     let path = folder.path().join("recording.csv");
     // 4.5 s, and 7 samples that fill no block.
     write_table(&path, &[Stretch { samples: 9007, amplitudes: REST }]);
-    let report = replay_at_full_speed(&path, &CSV);
+    let recordings = folder.path().join("recordings");
+    let record = [&CSV[..], &["--record", recordings.to_str().unwrap()]].concat();
+    let report = replay_at_full_speed(&path, &record);
     assert_complete(&report, 900, windows_of(9000));
+    // Nobody allocates for the recorder, which came last.
+    assert!(report.allocations.values().all(|allocations| *allocations == 0), "{report:#?}");
     assert!(report.replay_x_real_time.unwrap() > 0.0);
 }
 
@@ -74,7 +78,7 @@ fn the_columns_of_a_table_are_named_and_its_time_gives_the_rate_and_the_gaps() {
     let ended = run(&[]);
     assert!(ended.output.contains("at 2000 Hz, columns flexor, extensor, thumb, ulna\n"), "{ended:#?}");
     assert!(ended.errors.contains("200 samples are missing in 1 place"), "{ended:#?}");
-    assert!(ended.errors.contains("channel extensor was constant (2)"), "{ended:#?}");
+    assert!(ended.errors.contains("channels extensor (2), thumb (3), ulna (4) were constant"), "{ended:#?}");
     let ended = run(&["--set", "acquisition.replay.channels=[2,1,0,3]"]);
     assert!(ended.output.contains("columns extensor, flexor, time, thumb\n"), "{ended:#?}");
     assert!(

@@ -12,7 +12,7 @@ import unittest
 
 from browser import Browser, find_program
 from programs import ROOT, Emulator, Home, find_programs, wait_until
-from test_page import ANSWERED, IS_LIVE, STOP, TITLE
+from test_page import ANSWERED, IS_LIVE, STOP, TITLE, is_shown
 
 MODES = """
 [[decision.modes]]
@@ -31,6 +31,7 @@ ulnar = "+x"
 radial = "-x"
 grip = "next_mode"
 """
+PRESSED_MODE = "document.querySelector('#modes [aria-pressed=true]')?.textContent"
 #: A loaded machine is slow.
 LIMIT_S = 60.0
 
@@ -90,6 +91,13 @@ class RealSessions(unittest.TestCase):
         page.press_enter()
         page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
 
+        page.click("#modes button:last-child")
+        page.wait_for(f"{PRESSED_MODE} === 'x-z'", LIMIT_S)
+        page.type("u")
+        page.wait_for(f"{TITLE}.startsWith('Following · ulnar: forward')", LIMIT_S)
+        page.type("n")
+        page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
+
         page.click("#record")
         page.wait_for(f"{ANSWERED} === 'Recording: done'", LIMIT_S)
         page.click("#note-text")
@@ -103,6 +111,21 @@ class RealSessions(unittest.TestCase):
         self.assertIn(b"loose e", recordings[0].read_bytes())
         self.assertEqual(tendon.end(), 0)
 
+    def test_the_next_session_comes_at_the_same_page(self):
+        tendon = self.run_session("--keyboard", "--page", "--page-port", "0")
+        page = self.open(tendon.line("page: "))
+        page.wait_for(f"{TITLE} === 'Ready · rest' && {is_shown('#next-open')}", LIMIT_S)
+        page.click("#next-open")
+        page.click("[data-choice=task] [data-option=zones]")
+        page.click("#next .column:first-child .begins")
+        page.wait_for(f"{ANSWERED} === 'Next session: done' && {IS_LIVE}", LIMIT_S)
+        page.wait_for(f"{TITLE} === 'Ready · rest' && document.querySelector('#task-zone').textContent.startsWith('Zone: ')",
+                      LIMIT_S)
+        self.screenshot(page, "zones")
+        page.press_space()
+        page.wait_for(f"{STOP} === 'STOPPED'", LIMIT_S)
+        self.assertEqual(tendon.end(), 0)
+
     def test_a_viewer_that_reads_nothing_holds_up_neither_another_nor_the_session(self):
         tendon = self.run_session("--keyboard", "--page", "--page-port", "0")
         address = tendon.line("page: ")
@@ -113,7 +136,7 @@ class RealSessions(unittest.TestCase):
             deaf.sendall(f"GET /ws?token={token} HTTP/1.1\r\nHost: {host}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
                          "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode())
             self.assertTrue(deaf.recv(12).startswith(b"HTTP/1.1 101"))
-            first, second = self.open(address), self.open(tendon.line("page, to watch only: "))
+            second, first = self.open(tendon.line("page, to watch only: ")), self.open(address)
             first.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
             first.type("f")
             for page in (first, second):
@@ -140,6 +163,20 @@ class RealSessions(unittest.TestCase):
         page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest'", LIMIT_S)
         page.press_space()
         page.wait_for(f"{STOP} === 'STOPPED'", LIMIT_S)
+
+    def test_a_stranger_is_calibrated_from_the_first_cue_to_the_report(self):
+        tendon = self.enterContext(self.home.tendon(
+            "calibrate", "anna", "--set", f"session={self.name}", "--page", "--page-port", "0", "--rest", "2s", "--hold", "2s",
+            "--pause", "1s", "--set", "acquisition.simulate.profile=stranger-19"))
+        page = self.open(tendon.line("page: "))
+        page.wait_for(f"{TITLE} === 'Ready? Press Go on'", LIMIT_S)
+        page.press_enter()
+        page.wait_for(f"{TITLE}.endsWith(': light, firm, light')", LIMIT_S)
+        page.wait_for("Number(document.querySelector('#effort-made').style.transform.slice(7, -1)) > 0.2", LIMIT_S)
+        self.screenshot(page, "calibration")
+        page.wait_for(f"{TITLE} === 'anna is calibrated'", LIMIT_S)
+        page.wait_for("/^\\d+\\u00a0%$/.test(document.querySelector('.accuracy').textContent)")
+        self.screenshot(page, "calibration-report")
 
 
 if __name__ == "__main__":

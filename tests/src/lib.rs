@@ -29,7 +29,7 @@ pub use emulated_arm::EmulatedArm;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Gid, Pid, Uid, chown};
 use tempfile::TempDir;
-use tendon_messages::BLOCKS;
+use tendon_messages::{BLOCKS, BlockHeader};
 use tendon_report::Report;
 use tendon_transport::{Delivery, Leftovers, Session, SessionName, Subscriber};
 
@@ -298,6 +298,20 @@ impl Tendon {
             }
             self.output.so_far().contains("\n  scheduling").then_some(())
         });
+    }
+
+    /// Holds the session up while it starts, once its source is ready to begin, and does `disturb` meanwhile.
+    pub fn before_the_start(&self, disturb: impl FnOnce()) {
+        wait_until("the source", || {
+            let is_source = |(_, name): &(Pid, String)| name.starts_with("tendon-acqui");
+            children_of(self.process.id()).iter().any(is_source).then_some(())
+        });
+        self.signal(Signal::SIGSTOP);
+        let session = Session::join(&self.session, "test").unwrap();
+        let blocks = Subscriber::<BlockHeader, f32>::open(&session, &BLOCKS, None, Delivery::Live).unwrap();
+        wait_until("the topic of the source", || blocks.connect().unwrap().then_some(()));
+        disturb();
+        self.signal(Signal::SIGCONT);
     }
 
     /// Waits until standard output holds `text`.

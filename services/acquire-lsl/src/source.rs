@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use tendon_config::AcquisitionSettings;
-use tendon_lsl::{ChannelFacts, Format, Inlet, Lsl, LslSettings, Reader, Stream, StreamFacts};
+use tendon_lsl::{ChannelFacts, Format, Inlet, Lsl, LslError, LslSettings, Reader, Stream, StreamFacts};
 use tendon_process::SignalDescription;
 use tendon_source::{BlockAssembler, Choice, Chunk, Next, Offer, OfferedChannel, Source, SourceError, Wait};
 
@@ -22,6 +22,8 @@ const ODDITIES_INTERVAL: Duration = Duration::from_secs(10);
 pub struct LslSource {
     lsl: Lsl,
     stream: StreamFacts,
+    /// What the stream said of its clock when it was opened, s.
+    correction_s: f64,
     /// Until it is started.
     inlet: Option<Inlet>,
     reader: Option<Reader>,
@@ -35,21 +37,33 @@ pub struct LslSource {
 }
 
 impl LslSource {
-    /// Finds the stream, compares it with the session and connects to it.
+    /// Finds the stream, compares it with the session and connects to it. One that ends meanwhile is looked for again.
     pub fn open(settings: &AcquisitionSettings) -> anyhow::Result<LslSource> {
         let lsl = Lsl::load(&tendon_lsl::find_library(settings.lsl.library.as_deref())?)?;
-        let stream = find(lsl, &settings.lsl)?;
-        let mut inlet = Inlet::new(lsl, &stream)?;
+        loop {
+            let stream = find(lsl, &settings.lsl)?;
+            match LslSource::connect(lsl, &stream, settings) {
+                Err(error) if matches!(error.downcast_ref(), Some(LslError::Lost { .. })) => {
+                    tracing::warn!("LSL: {error}. It is looked for again");
+                }
+                connected => return connected,
+            }
+        }
+    }
+
+    fn connect(lsl: Lsl, stream: &Stream, settings: &AcquisitionSettings) -> anyhow::Result<LslSource> {
+        let mut inlet = Inlet::new(lsl, stream)?;
         let stream = inlet.describe(ANSWER)?.facts.clone();
         let choice = offer(&stream)?.choose(settings).with_context(|| format!("LSL stream {stream}"))?;
         inlet.open(ANSWER)?;
         // Measured now, so that the first sample of the session has its time.
-        inlet.time_correction(ANSWER)?;
+        let correction_s = inlet.time_correction(ANSWER)?;
         let timeline = Timeline::new(stream.sample_rate_hz);
         let assembler =
             BlockAssembler::new(settings.channels, settings.block_samples, settings.sample_rate_hz);
         Ok(LslSource {
             lsl,
+            correction_s,
             inlet: Some(inlet),
             reader: None,
             choice,
@@ -116,7 +130,7 @@ impl LslSource {
 impl Source for LslSource {
     fn start(&mut self) -> Result<(), SourceError> {
         if let Some(inlet) = self.inlet.take() {
-            let reader = Reader::start(self.lsl, inlet, &self.stream);
+            let reader = Reader::start(self.lsl, inlet, &self.stream, self.correction_s);
             self.reader = Some(reader.map_err(SourceError::new)?);
         }
         Ok(())

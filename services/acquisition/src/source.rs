@@ -8,8 +8,8 @@ use tendon_emg_simulation::{Performance, Repeat, Script, SimulatedEmg};
 use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Truth;
 use tendon_process::SignalDescription;
-use tendon_recordings::ReplayStream;
 use tendon_recordings::table::Rate;
+use tendon_recordings::{ReplayStream, summed_up};
 use tendon_source::{BlockMaker, MadeBlock, Pace, Paced, Source, SourceError};
 use tendon_transport::Delivery;
 
@@ -17,9 +17,6 @@ use crate::recorded_session::{RecordedSession, is_recorded_session};
 
 /// Gestures in a random sequence before it begins again.
 const RANDOM_GESTURES: usize = 1000;
-
-/// How many notices about a recording are shown one by one: a folder may lack many files.
-const NOTICES_SHOWN: usize = 3;
 
 /// A source that is open.
 pub struct Opened {
@@ -46,7 +43,8 @@ pub fn open(config: &Config) -> anyhow::Result<Opened> {
     let mut signal = None;
     let (source, description): (Box<dyn Source>, String) = match settings.source {
         SourceKind::Simulate => {
-            let (person, description) = SimulatedPerson::open(config)?;
+            let (person, description, measured) = SimulatedPerson::open(config)?;
+            signal = Some(measured);
             (Box::new(Paced::new(person, pace, samples)), description)
         }
         SourceKind::Replay if is_recorded_session(settings) => {
@@ -76,7 +74,7 @@ struct SimulatedPerson {
 }
 
 impl SimulatedPerson {
-    fn open(config: &Config) -> anyhow::Result<(SimulatedPerson, String)> {
+    fn open(config: &Config) -> anyhow::Result<(SimulatedPerson, String, SignalDescription)> {
         let settings = &config.acquisition;
         let simulate = &settings.simulate;
         let (emg, profile) = settings.open_simulation()?;
@@ -102,9 +100,12 @@ impl SimulatedPerson {
             ),
         };
         let description =
-            format!("simulated amplifier, {what}, seed {}, profile: {}", simulate.seed, profile);
+            format!("simulated amplifier, {what}, seed {}, profile: {}", simulate.seed, profile.source);
+        // It has no names of its own. A table needs names that are no numbers.
+        let channels = (0..settings.channels).map(|channel| format!("channel_{channel}")).collect();
+        let signal = SignalDescription { channels, unit: profile.unit };
         let gestures = config.decision.gestures.clone();
-        Ok((SimulatedPerson { gestures, emg, performance }, description))
+        Ok((SimulatedPerson { gestures, emg, performance }, description, signal))
     }
 }
 
@@ -135,13 +136,8 @@ impl Recording {
         let settings = &config.acquisition;
         let (summary, stream) = settings.open_recording()?;
         let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
-        for notice in summary.notices.iter().take(NOTICES_SHOWN) {
-            tracing::warn!("{notice}");
-        }
-        if summary.notices.len() > NOTICES_SHOWN {
-            let rest = summary.notices.len() - NOTICES_SHOWN;
-            tracing::warn!("and {rest} more such notices about {}", path.display());
-        }
+        // A folder may lack many files: one line for all of them.
+        summed_up(&summary.notices).iter().for_each(|notice| tracing::warn!("{notice}"));
         if let Some(notice) = stream.rate_notice() {
             tracing::info!("{notice}");
         }

@@ -101,6 +101,8 @@ const orders = new Orders(connection);
 const requests = new Requests(connection, () => {
   actions.refresh();
   calibration.refresh();
+  // What was to come does not come: then the connection is lost, and no longer changing.
+  if (connection.why) showAway(connection.why);
 });
 const actions = new Actions(requests);
 const next = new NextPanel(requests);

@@ -8,6 +8,8 @@ mod board;
 mod check;
 mod guided;
 mod learnt;
+mod next;
+mod page;
 mod recording;
 mod round;
 mod status;
@@ -36,13 +38,15 @@ use tendon_recordings::{RecordedSession, SkippedKind};
 
 use crate::Failure;
 use crate::channels::channels_or_default;
+use crate::next::Following;
 use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
 use crate::output::{checked_private, left_out, print};
-use crate::page;
+use crate::page::RunOptions;
 use crate::personal::{WINDOWS, calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
 
 use check::CheckScores;
+pub use next::command_line;
 pub use status::CalibrationStatus;
 use update::UpdateScores;
 
@@ -76,7 +80,7 @@ pub struct Options {
     base: Base,
     /// The page of the calibration.
     #[command(flatten)]
-    page: page::RunOptions,
+    page: RunOptions,
     /// Put the person in the place of the one who has this name.
     #[arg(long)]
     replace: bool,
@@ -105,8 +109,8 @@ struct Learnt<'a> {
     provenance: Provenance,
 }
 
-/// Fits a person and keeps them.
-pub fn calibrate(options: &Options) -> Result<(), Failure> {
+/// Fits a person and keeps them; gives what is to follow, if somebody at the page has asked for something.
+pub fn calibrate(options: &Options) -> Result<Option<Following>, Failure> {
     let json = checked_private(options.json.as_deref())?;
     let inputs = options.from.iter().map(PathBuf::as_path).chain(options.base.file());
     check_distinct(&json, [], inputs).map_err(Failure::input)?;
@@ -137,7 +141,7 @@ pub fn calibrate(options: &Options) -> Result<(), Failure> {
         )));
     }
     let file = people.replace(&fitted.person).map_err(Failure::running)?;
-    report(options, &fitted, &file, None, begun, json.as_ref())
+    report(options, &fitted, &file, None, begun, json.as_ref()).map(|()| None)
 }
 
 /// Says what was learnt.

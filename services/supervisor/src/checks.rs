@@ -124,7 +124,7 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
                     acquisition.simulate.script.parse().context("acquisition.simulate.script")?;
                 script.check(emg.gestures()).context("acquisition.simulate.script")?;
             }
-            Ok(format!("simulated amplifier, profile: {profile}"))
+            Ok(format!("simulated amplifier, profile: {}", profile.source))
         }
         Source::Replay if acquisition.replay.path.as_deref().is_some_and(is_session_file) => {
             let path = acquisition.replay.path.as_deref().unwrap_or(Path::new(""));

@@ -1,11 +1,14 @@
 //! `tendon export`: a recorded session in the formats of others.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use anyhow::anyhow;
+use anyhow::Context;
 use clap::{ArgGroup, Args};
 use tendon_export::{
-    BidsFacts, ExportError, Staging, Survey, TABLES, ZONES, write_bids, write_tables, write_xdf,
+    BidsFacts, ExportError, Staging, Survey, check_replaceable, is_exported_xdf, write_bids, write_tables,
+    write_xdf,
 };
 use tendon_output::OutputFile;
 use tendon_session_file::FILE_NAME;
@@ -74,9 +77,6 @@ pub fn export(options: &Options) -> Result<(), Failure> {
     reading.passed(1);
     let mut written = vec![summary(&survey)];
     if let Some(folder) = &options.csv {
-        if options.force {
-            remove_old_zones(folder, &survey)?;
-        }
         write_tables(&survey, folder, |bytes| reading.show(bytes)).map_err(failure)?;
         reading.passed(1);
         written.push(format!("tables in {}", folder.display()));
@@ -109,11 +109,20 @@ pub fn export(options: &Options) -> Result<(), Failure> {
     print(written.join("\n  ")).map_err(Failure::running)
 }
 
-/// A file for this user alone. One that is there already is refused without `force`.
+/// A file for this user alone. One that is there already is refused without `force`, and with it unless it is an export.
 fn check_file(path: &Path, force: bool) -> Result<OutputFile, Failure> {
     let file = OutputFile::check(path).map_err(Failure::input)?.private();
-    if file.replaces() && !force {
+    if !file.replaces() {
+        return Ok(file);
+    }
+    if !force {
         return Err(Failure::input(ExportError::Exists { path: path.to_owned() }));
+    }
+    let mut beginning = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(512).read_to_end(&mut beginning));
+    read.with_context(|| format!("cannot read {}", path.display())).map_err(Failure::input)?;
+    if !is_exported_xdf(&beginning) {
+        return Err(Failure::input(ExportError::NoExport { path: path.to_owned() }));
     }
     Ok(file)
 }
@@ -146,25 +155,7 @@ fn check_tables(folder: &Path, force: bool) -> Result<(), Failure> {
     if !force {
         return Err(Failure::input(ExportError::NotEmpty { path: folder.to_owned() }));
     }
-    // Such as a folder with the settings of somebody, which have the name of those of an export.
-    let is_export = TABLES.iter().filter(|table| **table != ZONES).all(|table| folder.join(table).is_file());
-    if is_export {
-        return Ok(());
-    }
-    Err(Failure::input(anyhow!(
-        "{} holds something else than an export: name another folder",
-        folder.display()
-    )))
-}
-
-/// The zones of an earlier export are none of a session without a task.
-fn remove_old_zones(folder: &Path, survey: &Survey) -> Result<(), Failure> {
-    let zones = folder.join(ZONES);
-    if survey.task.is_none() && zones.is_file() {
-        std::fs::remove_file(&zones)
-            .map_err(|source| failure(ExportError::Write { path: zones.clone(), source }))?;
-    }
-    Ok(())
+    check_replaceable(folder).map_err(Failure::input)
 }
 
 fn failure(error: ExportError) -> Failure {

@@ -149,7 +149,7 @@ fn main() -> ExitCode {
         Command::Doctor(options) => doctor::examine(&options),
         Command::Profile(profile::Command::Fit(options)) => profile::fit(&options),
         Command::Dataset(dataset::Command::Build(options)) => dataset::build(&options),
-        Command::Calibrate(options) => calibrate::calibrate(&options),
+        Command::Calibrate(options) => calibrate::calibrate(&options).and_then(go_on),
         Command::People(options) => people::list(&options),
         Command::Delete(options) => delete::delete(&options),
         Command::Prior(options) => prior::gather(&options),

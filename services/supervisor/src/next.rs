@@ -14,10 +14,10 @@ use serde::{Deserialize, Serialize};
 use tendon_config::{Config, Source};
 use tendon_gesture::Strategy;
 use tendon_people::PersonName;
-use tendon_process::{Next, NextSession, PAGE_VARIABLE, PageKeys};
+use tendon_process::{Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys};
 
 use crate::options::Options;
-use crate::{Arguments, Failure, provenance, zones};
+use crate::{Arguments, Failure, calibrate, provenance, zones};
 
 /// Options of `tendon run` that the next session may have others of.
 const PERSON: &str = "--person";
@@ -116,7 +116,7 @@ pub fn why_not(options: &Options, config: &Config) -> Option<&'static str> {
 pub fn command_line_after(run: &[String], strategy: Strategy, next: &Next) -> anyhow::Result<Vec<String>> {
     match next {
         Next::Session(next) => session_after(run, strategy, next),
-        Next::Calibrate(_) => bail!("a calibration is started by hand: tendon calibrate NAME"),
+        Next::Calibrate(wanted) => calibration_after(run, wanted),
     }
 }
 
@@ -126,6 +126,13 @@ pub fn command_line_after(run: &[String], strategy: Strategy, next: &Next) -> an
 ///
 /// When it would be refused if it were typed; in words.
 pub fn session_after(run: &[String], strategy: Strategy, next: &NextSession) -> anyhow::Result<Vec<String>> {
+    let command_line = changed(run, strategy, next)?;
+    check(&command_line)?;
+    Ok(command_line)
+}
+
+/// The same, without a look at what the options mean.
+fn changed(run: &[String], strategy: Strategy, next: &NextSession) -> anyhow::Result<Vec<String>> {
     let mut command_line = without(run, &[PERSON, TASK]);
     if let Some(person) = &next.person {
         let person: PersonName = person.parse()?;
@@ -143,18 +150,37 @@ pub fn session_after(run: &[String], strategy: Strategy, next: &NextSession) -> 
         command_line.push(format!("{STRATEGY}={wanted}"));
     }
     command_line.extend(next.task.iter().map(|task| format!("{TASK}={task}")));
-    check(&command_line)?;
     Ok(command_line)
 }
 
-/// Checks a session as far as it can be without beginning it.
-fn check(command_line: &[String]) -> anyhow::Result<()> {
-    let parsed = Arguments::try_parse_from(command_line).map_err(|error| {
+/// The command line of a calibration with the source and settings of the session of `run`.
+///
+/// # Errors
+///
+/// When it would be refused if it were typed; in words.
+fn calibration_after(run: &[String], wanted: &NextCalibration) -> anyhow::Result<Vec<String>> {
+    let crate::Command::Run(options) = read(run)? else { bail!("a calibration follows on a session only") };
+    let (config, _folder) = options.configuration()?;
+    calibrate::command_line(wanted, (&options.base, &config), &options.page, &[])
+}
+
+/// Reads a command line.
+///
+/// # Errors
+///
+/// What is wrong with it, in words.
+pub fn read(command_line: &[String]) -> anyhow::Result<crate::Command> {
+    let read = Arguments::try_parse_from(command_line).map_err(|error| {
         let text = error.to_string();
         let first = text.lines().next().unwrap_or_default();
         anyhow!("{}", first.trim_start_matches("error: ").to_owned())
     })?;
-    let crate::Command::Run(options) = parsed.command else { bail!("tendon run is what follows") };
+    Ok(read.command)
+}
+
+/// Checks a session as far as it can be without beginning it.
+fn check(command_line: &[String]) -> anyhow::Result<()> {
+    let crate::Command::Run(options) = read(command_line)? else { bail!("tendon run is what follows") };
     let (config, _folder) = options.configuration()?;
     // It looks at the models and the person.
     provenance::of_session(&config)?;
@@ -190,8 +216,12 @@ mod tests {
         line.split_whitespace().map(str::to_owned).collect()
     }
 
-    fn after(run: &str, strategy: Strategy, next: &NextSession) -> anyhow::Result<String> {
-        session_after(&words(run), strategy, next).map(|line| line.join(" "))
+    fn after(run: &str, strategy: Strategy, next: &NextSession) -> String {
+        changed(&words(run), strategy, next).unwrap().join(" ")
+    }
+
+    fn refused(run: &str, next: &NextSession) -> String {
+        format!("{:#}", session_after(&words(run), Strategy::Direct, next).unwrap_err())
     }
 
     #[test]
@@ -203,16 +233,16 @@ mod tests {
         };
         let run = "tendon run --page --task zones --set session=a --strategy=direct --model x.onnx --seed 3";
         assert_eq!(
-            after(run, Strategy::Direct, &next(Some("threshold"), None)).unwrap(),
+            after(run, Strategy::Direct, &next(Some("threshold"), None)),
             "tendon run --page --set session=a --seed 3 --strategy=threshold"
         );
         // A model stays with its strategy.
         assert_eq!(
-            after(run, Strategy::Direct, &next(Some("direct"), Some("paper-zones"))).unwrap(),
+            after(run, Strategy::Direct, &next(Some("direct"), Some("paper-zones"))),
             "tendon run --page --set session=a --model x.onnx --seed 3 --strategy=direct --task=paper-zones"
         );
         assert_eq!(
-            after(run, Strategy::Direct, &next(None, None)).unwrap(),
+            after(run, Strategy::Direct, &next(None, None)),
             "tendon run --page --set session=a --strategy=direct --model x.onnx --seed 3"
         );
         for (strategy, task, why) in [
@@ -221,8 +251,8 @@ mod tests {
             (None, Some("nothing"), "nothing"),
             (Some("personal"), None, "person"),
         ] {
-            let refused = after(run, Strategy::Direct, &next(strategy, task)).unwrap_err();
-            assert!(format!("{refused:#}").contains(why), "{refused:#}");
+            let refused = refused(run, &next(strategy, task));
+            assert!(refused.contains(why), "{refused}");
         }
     }
 
@@ -233,13 +263,15 @@ mod tests {
             strategy: strategy.map(str::to_owned),
             task: None,
         };
-        let refused = |next: &NextSession| {
-            format!("{:#}", after("tendon run --page", Strategy::Threshold, next).unwrap_err())
-        };
+        let run = "tendon run --page";
+        assert_eq!(
+            after("tendon run --page --strategy direct --model x", Strategy::Direct, &next("anna", None)),
+            "tendon run --page --person=anna"
+        );
         for path in ["../x", "/etc/passwd", "", "--json=x", "anna.toml"] {
-            assert!(refused(&next(path, None)).contains("a-z 0-9"), "{path}");
+            assert!(refused(run, &next(path, None)).contains("a-z 0-9"), "{path}");
         }
-        assert!(refused(&next("nobody-of-that-name", None)).contains("nobody-of-that-name"));
-        assert!(refused(&next("anna", Some("direct"))).contains("personal"));
+        assert!(refused(run, &next("nobody-of-that-name", None)).contains("nobody-of-that-name"));
+        assert!(refused(run, &next("anna", Some("direct"))).contains("personal"));
     }
 }

@@ -82,6 +82,12 @@ impl Base {
         config.chain(self.assignments.iter().map(|assignment| format!(" --set '{assignment}'"))).collect()
     }
 
+    /// The same, a word each.
+    pub fn words(&self) -> Vec<String> {
+        let config = self.config.iter().map(|config| format!("--config={}", config.display()));
+        config.chain(self.assignments.iter().map(|assignment| format!("--set={assignment}"))).collect()
+    }
+
     /// Whether a key was set that begins with `beginning`.
     pub fn sets(&self, beginning: &str) -> bool {
         sets(&self.assignments, beginning)
@@ -183,7 +189,7 @@ impl RunningSession {
 #[derive(Debug, Args)]
 pub struct Options {
     #[command(flatten)]
-    base: Base,
+    pub base: Base,
     /// Name of the session; two at a time need two names.
     #[arg(long)]
     session: Option<SessionName>,

@@ -5,6 +5,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
@@ -17,6 +18,10 @@ use crate::options::RunningSession;
 
 /// The program that serves the page. It lies beside this one.
 pub const PROGRAM: &str = "tendon-page";
+/// How long the page may take until it listens.
+const THERE_TIMEOUT: Duration = Duration::from_secs(10);
+/// Time between two looks whether it does.
+const THERE_LOOK: Duration = Duration::from_millis(10);
 /// Where it listens unless told otherwise.
 const PORT: u16 = 8423;
 
@@ -44,6 +49,22 @@ impl RunOptions {
     /// Whether somebody at the page can give orders.
     pub fn takes_orders(&self) -> bool {
         self.page && !self.page_watch_only
+    }
+
+    /// The options again, a word each.
+    pub fn words(&self) -> Vec<String> {
+        let RunOptions { page, page_port, page_address, page_watch_only, no_browser } = *self;
+        if !page {
+            return Vec::new();
+        }
+        let mut words = vec![
+            "--page".to_owned(),
+            format!("--page-port={page_port}"),
+            format!("--page-address={page_address}"),
+        ];
+        words.extend(page_watch_only.then(|| "--page-watch-only".to_owned()));
+        words.extend(no_browser.then(|| "--no-browser".to_owned()));
+        words
     }
 }
 
@@ -90,6 +111,16 @@ impl Page {
     /// Says once that it has ended, if it has. Does not wait.
     pub fn look(&mut self) {
         self.companion.look();
+    }
+
+    /// Waits until it listens; whether it does. One whose port is taken never will.
+    pub fn wait_until_there(&mut self) -> bool {
+        let begun = Instant::now();
+        while self.keys.get().is_none() && !self.companion.has_ended() && begun.elapsed() < THERE_TIMEOUT {
+            std::thread::sleep(THERE_LOOK);
+            self.look();
+        }
+        self.keys.get().is_some()
     }
 
     /// Where it is, once it listens.

@@ -293,6 +293,12 @@ pub fn ask_for(acquisition: &mut AcquisitionSettings, channels: &[String], unit:
 ///
 /// What differs, by name.
 pub fn check_signal(config: &Config, signal: &SignalDescription) -> anyhow::Result<()> {
+    // The simulated amplifier numbers its channels, and so does the recording of a session with it.
+    let numbered =
+        signal.channels.iter().enumerate().all(|(place, name)| *name == format!("channel_{place}"));
+    if is_simulated(config) || (config.acquisition.source == Source::Replay && numbered) {
+        return Ok(());
+    }
     let is_personal = config.decision.strategy == Strategy::Personal;
     let Some(file) = config.inference.person.as_ref().filter(|_| is_personal) else {
         let models = model_channels::of_session(config);

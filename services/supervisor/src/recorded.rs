@@ -17,7 +17,7 @@ use tendon_session_file::{
 };
 
 use crate::Failure;
-use crate::output::{checked, print};
+use crate::output::{checked, print, tell};
 use crate::progress::Progress;
 
 /// Largest model or person that is compared with an attached one.
@@ -116,7 +116,7 @@ pub struct CompareOptions {
     json: Option<PathBuf>,
 }
 
-/// Compares two recorded sessions. What differs is a failure.
+/// Compares two recorded sessions. What differs is a failure, unless only one of them has the beginning of its session.
 pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
     let size = |path: &Path| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
@@ -132,8 +132,18 @@ pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
     print(table("predictions", &found.predictions)).map_err(Failure::running)?;
     print(table("commands", &found.commands)).map_err(Failure::running)?;
     written.transpose().map_err(Failure::running)?;
+    let [first, second] = found.lacks_beginning;
     match found.differences() {
         0 => Ok(()),
+        _ if !found.is_fair() => {
+            let late = if first && !second { &options.first } else { &options.second };
+            tell(format_args!(
+                "{} was begun in a running session: what filters and detector had taken in before is not in it, so its replay \
+                 begins anew, and these differences are no fault. Two replays of it can be compared",
+                late.display()
+            ));
+            Ok(())
+        }
         differences => Err(Failure::running(anyhow!("the two recordings differ: {differences} differences"))),
     }
 }

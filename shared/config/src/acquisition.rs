@@ -289,16 +289,16 @@ impl SimulateSettings {
 }
 
 impl AcquisitionSettings {
-    /// Makes the simulated amplifier, and says which profile it has.
+    /// Makes the simulated amplifier, and gives the profile of its person.
     ///
     /// # Errors
     ///
     /// [`ConfigError::ReadProfile`], [`ConfigError::Profile`] and [`ConfigError::Simulation`].
-    pub fn open_simulation(&self) -> Result<(SimulatedEmg, String), ConfigError> {
+    pub fn open_simulation(&self) -> Result<(SimulatedEmg, Profile), ConfigError> {
         let profile = self.simulate.read_profile()?;
         let settings = self.simulate.simulation(self.channels, self.sample_rate_hz);
         let emg = SimulatedEmg::new(&profile, &settings)?;
-        Ok((emg, profile.source))
+        Ok((emg, profile))
     }
 
     /// Refuses what cannot be the recording to replay by a look at its beginning, however large it is.

@@ -51,9 +51,7 @@ pub fn write_bids(
     let subject = participants.subject(survey.person.as_ref().map(|person| person.as_str()));
     let name = Name::of(survey, facts, &subject);
     let recording = name.file("emg.bdf");
-    if !replace && folder.join(&recording).exists() {
-        return Err(ExportError::Exists { path: folder.join(&recording) });
-    }
+    check_replaceable(folder, &name, replace)?;
     let events = events::gather(survey, signal::record_length(survey).samples, &mut has_read)?;
     let signals = sidecars::signals(survey)?;
     let mut staging = Staging::begin(folder)?;
@@ -71,6 +69,22 @@ pub fn write_bids(
     staging.write(participants::FILE, participants.table().as_bytes())?;
     staging.keep()?;
     Ok(folder.join(recording))
+}
+
+/// Files of a session, by how their names end; the recording first.
+const FILES: [&str; 5] = ["emg.bdf", "emg.json", "channels.tsv", "events.tsv", "events.json"];
+
+/// Refuses to write where there is something already, or, with `replace`, something that no export wrote.
+fn check_replaceable(folder: &Path, name: &Name, replace: bool) -> Result<(), ExportError> {
+    let mut files = FILES.iter().map(|ending| folder.join(name.file(ending)));
+    let Some(path) = files.find(|file| std::fs::symlink_metadata(file).is_ok()) else { return Ok(()) };
+    if !replace {
+        return Err(ExportError::Exists { path });
+    }
+    // An export writes all of them together.
+    let recording = folder.join(name.file(FILES[0]));
+    let is_own = recording.is_file() && signal::is_exported(&recording);
+    if is_own { Ok(()) } else { Err(ExportError::NoExport { path }) }
 }
 
 /// What the files of a session are called.

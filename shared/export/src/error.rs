@@ -58,6 +58,12 @@ pub enum ExportError {
         /// The recording.
         path: PathBuf,
     },
+    /// What is to be replaced was written by something else.
+    #[error("{} is something else than an export: move it away, or name another place", path.display())]
+    NoExport {
+        /// The file or folder.
+        path: PathBuf,
+    },
     /// A value that BDF cannot hold.
     #[error(
         "channel {channel} reaches {value}, and BDF holds at most eight digits: export it as tables or XDF (--csv, --xdf)"

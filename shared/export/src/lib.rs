@@ -33,5 +33,6 @@ pub use error::ExportError;
 pub use staging::Staging;
 pub use streams::write_xdf;
 pub use survey::{Gap, Survey};
-pub use tables::{TABLES, ZONES, write_tables};
+pub use tables::{TABLES, check_replaceable, write_tables};
 pub use timeline::{Placed, Timeline};
+pub use xdf::is_exported_xdf;

@@ -16,8 +16,11 @@ mod columns;
 mod facts;
 mod rows;
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
+use serde_json::Value;
 use tendon_session_file::{Message, Reader};
 
 use crate::{ExportError, Staging, Survey};
@@ -41,13 +44,54 @@ pub const TABLES: [&str; 11] = [
 ];
 
 /// The table that there is only after a task.
-pub const ZONES: &str = "zones.csv";
+const ZONES: &str = "zones.csv";
 const SESSION: &str = "session.json";
 const COLUMNS: &str = "columns.json";
 const CONFIGURATION: &str = "tendon.toml";
+/// More than any line of names or description of columns, bytes.
+const LARGEST_HEAD: u64 = 4 << 20;
 
-/// Writes the session of `survey` as tables to `folder`, in place of those of the same names. `has_read` is told how many
-/// bytes of the recording were read so far.
+/// Refuses a folder whose files no export wrote, by their names and columns: other people's must not be replaced.
+///
+/// # Errors
+///
+/// [`ExportError::NoExport`] with the file that is none of an export, or the folder if one is missing.
+pub fn check_replaceable(folder: &Path) -> Result<(), ExportError> {
+    let columns: Value = head(&folder.join(COLUMNS))
+        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+        .ok_or_else(|| ExportError::NoExport { path: folder.to_owned() })?;
+    for file in TABLES {
+        let path = folder.join(file);
+        let has_columns = |table: &str| {
+            let bytes = head(&path).unwrap_or_default();
+            let mut rows = csv::Reader::from_reader(&bytes[..]);
+            let described =
+                columns[table].as_array().into_iter().flatten().map(|column| column["name"].as_str());
+            rows.headers().is_ok_and(|names| names.iter().map(Some).eq(described))
+        };
+        let is_missing = std::fs::symlink_metadata(&path).is_err();
+        if is_missing && file != ZONES {
+            return Err(ExportError::NoExport { path: folder.to_owned() });
+        }
+        let is_own = path.is_file() && file.strip_suffix(".csv").is_none_or(has_columns);
+        if !(is_missing || is_own) {
+            return Err(ExportError::NoExport { path });
+        }
+    }
+    Ok(())
+}
+
+/// The beginning of a file; `None` where there is none to be read.
+fn head(path: &Path) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let is_file = path.is_file();
+    let file = is_file.then(|| File::open(path).ok()).flatten()?;
+    file.take(LARGEST_HEAD).read_to_end(&mut bytes).ok()?;
+    Some(bytes)
+}
+
+/// Writes the session of `survey` as tables to `folder`, in place of those of the same names: see [`check_replaceable`].
+/// `has_read` is told how many bytes of the recording were read so far.
 ///
 /// # Errors
 ///
@@ -86,5 +130,11 @@ pub fn write_tables(
     staging.write(SESSION, &facts::session(survey))?;
     staging.write(COLUMNS, &columns.to_json())?;
     staging.write(CONFIGURATION, survey.configuration.as_bytes())?;
-    staging.keep()
+    staging.keep()?;
+    let old_zones = folder.join(ZONES);
+    if survey.task.is_none() && old_zones.is_file() {
+        // Those of an earlier export are none of a session without a task.
+        std::fs::remove_file(&old_zones).map_err(ExportError::writing(&old_zones))?;
+    }
+    Ok(())
 }

@@ -361,6 +361,38 @@ fn an_export_that_fails_leaves_nothing() {
     assert_eq!(std::fs::read_dir(&tables).unwrap().count(), 0);
 }
 
+#[test]
+fn only_what_an_export_wrote_is_replaced() {
+    let (_session, tables) = exported(&eventful());
+    let write = |file: &str, text: &str| std::fs::write(tables.join(file), text).unwrap();
+    let refused = || match check_replaceable(&tables) {
+        Err(ExportError::NoExport { path }) => Some(path),
+        checked => checked.map(|()| None).unwrap(),
+    };
+    assert_eq!(refused(), None);
+    // Of a session without a task, after which there are no zones.
+    let (_other_folder, other) = eventful().file();
+    let without_task = Survey { task: None, ..survey(&other) };
+    write_tables(&without_task, &tables, |_| ()).unwrap();
+    assert!(!tables.join("zones.csv").exists());
+    assert_eq!(refused(), None);
+    for file in ["zones.csv", "signal.csv"] {
+        write(file, "zone,mine\n1,2\n");
+        assert_eq!(refused(), Some(tables.join(file)));
+        write_tables(&survey(&other), &tables, |_| ()).unwrap();
+        assert_eq!(refused(), None);
+    }
+    std::fs::remove_file(tables.join("arm.csv")).unwrap();
+    assert_eq!(refused(), Some(tables.clone()));
+    write("columns.json", "{}");
+    assert!(refused().is_some());
+    assert_eq!(
+        std::fs::read_dir(&tables).unwrap().count(),
+        TABLES.len() - 1,
+        "a look at a folder changes nothing"
+    );
+}
+
 /// A file in the only folder of recordings of a data set, by its ending.
 fn bids_file(data_set: &Path, session: usize, ending: &str) -> PathBuf {
     let mut sessions: Vec<PathBuf> =
@@ -437,6 +469,20 @@ fn a_data_set_has_each_session_with_its_gaps() {
     let again = write_bids(&survey(&path), &facts, &data_set, false, |_| ());
     assert!(matches!(again, Err(ExportError::Exists { .. })), "{again:?}");
     write_bids(&survey(&path), &facts, &data_set, true, |_| ()).unwrap();
+    let written = std::fs::read(&written).unwrap();
+    // A sidecar alone, and a recording of something else, are none of an export.
+    let recording = bids_file(&data_set, 0, "_emg.bdf");
+    for other in [None, Some(b"\xFFBIOSEMI anna".as_slice())] {
+        std::fs::remove_file(&recording).unwrap();
+        if let Some(bytes) = other {
+            std::fs::write(&recording, bytes).unwrap();
+        }
+        for (replace, is_told_apart) in [(false, false), (true, true)] {
+            let refused = write_bids(&survey(&path), &facts, &data_set, replace, |_| ()).unwrap_err();
+            assert_eq!(matches!(refused, ExportError::NoExport { .. }), is_told_apart, "{refused}");
+        }
+        std::fs::write(&recording, &written).unwrap();
+    }
     std::fs::write(data_set.join("README"), "mine").unwrap();
     let mut other = Session::beginning_at(2, BEGUN_NS + 3_600_000_000_000);
     other.blocks(3);

@@ -199,6 +199,13 @@ impl<W: Write> XdfWriter<W> {
     }
 }
 
+/// Whether `beginning`, the first 512 bytes of a file, are those of an export: recorders of streams name no person in the file's
+/// header.
+pub fn is_exported_xdf(beginning: &[u8]) -> bool {
+    let header = b"</datetime><person>";
+    beginning.starts_with(b"XDF:") && beginning.windows(header.len()).any(|bytes| bytes == header)
+}
+
 /// A length in as many bytes as it needs of 1, 4 and 8, behind how many these are.
 fn put_length(bytes: &mut Vec<u8>, length: u64) {
     if let Ok(length) = u8::try_from(length) {
@@ -281,6 +288,9 @@ mod tests {
         assert!(contains(&bytes, samples));
         assert!(contains(&bytes, b"\x01\x17\x03\x00\x02\0\0\0\x01\x01\x08\0\0\0\0\0\0\x25\x40\x01\x04fist"));
         assert!(bytes.starts_with(b"XDF:\x01"));
+        assert!(is_exported_xdf(&bytes[..bytes.len().min(512)]));
+        let recorded = b"XDF:\x01\x5f\x01\0<?xml version=\"1.0\"?><info><version>1.0</version><datetime>2026</datetime></info>";
+        assert!(!is_exported_xdf(recorded) && !is_exported_xdf(b"") && !is_exported_xdf(&bytes[4..]));
         assert!(contains(&bytes, &BOUNDARY_UUID) && contains(&bytes, b"<label>a&lt;b</label>"));
         assert!(contains(&bytes, b"<sample_count>2</sample_count>"));
         assert!(contains(&bytes, b"test &amp; trial"));

@@ -69,20 +69,25 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Reads `inlet`, which is open, from now on: what came before is passed over. `stream` is what it says. When it is lost, it
-    /// is looked for by its name, type and source id.
+    /// Reads `inlet`, which is open, from now on: what came before is passed over. `stream` is what it says, `correction_s` what
+    /// it said of its clock when it was opened. When it is lost, also before this call, it is looked for by its name, type and
+    /// source id.
     ///
     /// # Errors
     ///
-    /// [`LslError::Thread`] when the system grants no thread or socket, [`LslError::Timeout`] when nobody knows the clock.
-    pub fn start(lsl: Lsl, inlet: Inlet, stream: &StreamFacts) -> Result<Reader, LslError> {
+    /// [`LslError::Thread`] when the system grants no thread or socket.
+    pub fn start(
+        lsl: Lsl,
+        inlet: Inlet,
+        stream: &StreamFacts,
+        correction_s: f64,
+    ) -> Result<Reader, LslError> {
         let (socket, sender) = UnixStream::pair().map_err(LslError::Thread)?;
         socket.set_nonblocking(true).map_err(LslError::Thread)?;
         let channels = stream.channels;
         let room = (MOST_VALUES / channels.max(1)).clamp(1, MOST_SAMPLES);
         let words = HEAD + room + (room * channels).div_ceil(2);
         let stop = Arc::new(AtomicBool::new(false));
-        let correction_s = inlet.time_correction(CLOCK_ANSWER)?;
         let mut pump = Pump {
             lsl,
             again: again(stream),
@@ -92,7 +97,8 @@ impl Reader {
             frame: vec![0; words],
             stamps: vec![0.0; room],
             instants: vec![0.0; room * channels],
-            correction_s,
+            // The newest one, if the stream is still there.
+            correction_s: inlet.time_correction(Duration::ZERO).unwrap_or(correction_s),
             corrected: Instant::now(),
             heard: Instant::now(),
             looked: Instant::now(),

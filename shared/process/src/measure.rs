@@ -60,6 +60,9 @@ impl Measurements {
         let now_ns = now_ns();
         if self.counts.first_message_ns == 0 {
             self.counts.first_message_ns = now_ns;
+            // A recorder that came after this stage would otherwise be connected to with the first batch: an allocation in
+            // the middle of the session.
+            self.publisher.connect().map_err(ProcessError::Measurements)?;
         }
         self.counts.newest_message_ns = now_ns;
         self.push(measured)

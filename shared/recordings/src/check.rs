@@ -72,10 +72,10 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         });
     }
     let names = source.chosen();
-    let constant = constant.into_iter().map(|(channel, value)| {
-        let channel = names[channel].clone();
-        Notice::Constant { path: path.to_owned(), channel, value }
-    });
+    let constant: Vec<(String, f32)> =
+        constant.into_iter().map(|(channel, value)| (names[channel].clone(), value)).collect();
+    let constant =
+        (!constant.is_empty()).then(|| Notice::Constant { path: path.to_owned(), channels: constant });
     let sample_rate_hz = source.sample_rate_hz();
     let seconds = |samples: u64| samples as f64 / sample_rate_hz;
     let silence = Some(seconds(longest_lost)).filter(|silence_s| *silence_s >= LONG_SILENCE_S);

@@ -42,7 +42,7 @@ pub use check::{CueSpan, Summary, check};
 pub use error::RecordingError;
 pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, SimulatedFrom};
 pub use replay::{ReplayBlock, ReplayStream};
-pub use segment::{Notice, Segment, SkippedEntry, SkippedKind};
+pub use segment::{Notice, Segment, SkippedEntry, SkippedKind, summed_up};
 pub use signals::{Cue, Gap, Signals, SignalsError, is_signals};
 pub use source::{Frame, RecordingSettings, RecordingSource, first_muscles, muscles, unit_of_table};
 pub use table::{Channel, ColumnKind};

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::mem::discriminant;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize, Serializer};
@@ -47,14 +48,12 @@ pub enum Notice {
         /// Whole lines of samples before it.
         lines: u64,
     },
-    /// A chosen column does not look like EMG.
+    /// Chosen columns do not look like EMG.
     NoMuscle {
         /// The file.
         file: PathBuf,
-        /// The column.
-        column: String,
-        /// What it looks like.
-        kind: ColumnKind,
+        /// The columns, and what each looks like.
+        columns: Vec<(String, ColumnKind)>,
     },
     /// A column of a table says what was done when.
     Labels {
@@ -106,14 +105,12 @@ pub enum Notice {
         /// The first one.
         line: u64,
     },
-    /// A channel has the same value throughout.
+    /// Channels have the same value throughout.
     Constant {
         /// The recording.
         path: PathBuf,
-        /// The channel, by name or number.
-        channel: String,
-        /// The value.
-        value: f32,
+        /// The channels, by name or number, and the value of each.
+        channels: Vec<(String, f32)>,
     },
     /// A file was not ended by whoever wrote it.
     CutOff {
@@ -181,11 +178,19 @@ impl fmt::Display for Notice {
                 "{}: the last line is cut short and was left out; {lines} lines of samples before it were read",
                 file.display()
             ),
-            Notice::NoMuscle { file, column, kind } => write!(
-                formatter,
-                "{}: column `{column}` is taken as EMG, as asked, but looks like {kind}",
-                file.display()
-            ),
+            Notice::NoMuscle { file, columns } => match &columns[..] {
+                [(column, kind)] => write!(
+                    formatter,
+                    "{}: column `{column}` is taken as EMG, as asked, but looks like {kind}",
+                    file.display()
+                ),
+                several => write!(
+                    formatter,
+                    "{}: columns are taken as EMG, as asked, that look like something else: {}",
+                    file.display(),
+                    list(several, |(column, kind)| format!("`{column}` like {kind}"))
+                ),
+            },
             Notice::Labels { file, column } => {
                 write!(formatter, "{}: column `{column}` says which gestures were made", file.display())
             }
@@ -215,11 +220,19 @@ impl fmt::Display for Notice {
                 file.display(),
                 if *lines == 1 { "1 line has".to_owned() } else { format!("{lines} lines have") }
             ),
-            Notice::Constant { path, channel, value } => write!(
-                formatter,
-                "{}: channel {channel} was constant ({value}): is its electrode connected?",
-                path.display()
-            ),
+            Notice::Constant { path, channels } => match &channels[..] {
+                [(channel, value)] => write!(
+                    formatter,
+                    "{}: channel {channel} was constant ({value}): is its electrode connected?",
+                    path.display()
+                ),
+                several => write!(
+                    formatter,
+                    "{}: channels {} were constant: are their electrodes connected?",
+                    path.display(),
+                    list(several, |(channel, value)| format!("{channel} ({value})"))
+                ),
+            },
             Notice::CutOff { file, read } => write!(
                 formatter,
                 "{}: the file was cut off or not closed; what it holds was read: {read}",
@@ -252,6 +265,29 @@ impl fmt::Display for Notice {
             ),
         }
     }
+}
+
+/// One line for each kind of notice: the first of its kind, and how many more there are.
+pub fn summed_up(notices: &[Notice]) -> Vec<String> {
+    let is_alike = |one: &Notice, other: &Notice| discriminant(one) == discriminant(other);
+    let firsts = notices
+        .iter()
+        .enumerate()
+        .filter(|(place, notice)| !notices[..*place].iter().any(|before| is_alike(before, notice)));
+    let line = |(place, first): (usize, &Notice)| match notices[place + 1..]
+        .iter()
+        .filter(|notice| is_alike(first, notice))
+        .count()
+    {
+        0 => first.to_string(),
+        1 => format!("{first} (and 1 more notice of this kind)"),
+        more => format!("{first} (and {more} more notices of this kind)"),
+    };
+    firsts.map(line).collect()
+}
+
+fn list<T>(items: &[T], in_words: impl Fn(&T) -> String) -> String {
+    items.iter().map(in_words).collect::<Vec<_>>().join(", ")
 }
 
 fn places(count: u64) -> String {

@@ -231,10 +231,10 @@ impl RecordingSource {
             let labels = labels.map_err(RecordingError::table(file))?;
             let chosen = table.chosen_columns();
             let odd = chosen.iter().filter(|column| columns[**column].kind != ColumnKind::Muscle);
-            notices.extend(odd.map(|column| {
-                let (name, kind) = (table.name(*column), columns[*column].kind);
-                Notice::NoMuscle { file: file.clone(), column: name, kind }
-            }));
+            let odd: Vec<_> = odd.map(|column| (table.name(*column), columns[*column].kind)).collect();
+            if !odd.is_empty() {
+                notices.push(Notice::NoMuscle { file: file.clone(), columns: odd });
+            }
             (unit, factors) = common_unit(&columns, &chosen);
             if !factors.is_empty() {
                 notices.push(Notice::UnitsDiffer { file: file.clone(), unit: unit.clone() });

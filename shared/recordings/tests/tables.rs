@@ -9,7 +9,7 @@ use tempfile::TempDir;
 use tendon_gesture::Gesture;
 use tendon_recordings::{
     Channel, ColumnKind, Notice, RecordingError, RecordingSettings, RecordingSource, ReplayStream, Summary,
-    check, first_muscles,
+    check, first_muscles, summed_up,
 };
 
 /// The same in every run, without a trend: EMG, as far as a table is concerned.
@@ -383,7 +383,7 @@ fn a_column_that_is_no_muscle_is_taken_only_when_asked_for_and_then_with_a_word(
         RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
     let summary = check(&path, &settings).unwrap();
     assert_eq!(summary.channels, ["t_s", "ch1"]);
-    let expected = Notice::NoMuscle { file: path.clone(), column: "t_s".into(), kind: ColumnKind::Time };
+    let expected = Notice::NoMuscle { file: path.clone(), columns: vec![("t_s".into(), ColumnKind::Time)] };
     assert_eq!(summary.notices[0], expected);
     let cues: Vec<_> = summary.cues.iter().map(|span| (span.segment.cue, span.samples)).collect();
     assert_eq!(cues, [(Some(Gesture::REST), 300), (Some(Gesture::GRIP), 200)]);
@@ -456,15 +456,37 @@ fn columns_of_different_rates_are_not_read_together() {
 #[test]
 fn a_channel_that_never_changes_is_named_at_any_value() {
     for value in ["0", "2000", "-8192.5"] {
-        let text = rows(500, |row| format!("{},{value},{}", samples(row, 2, ","), samples(row, 1, ",")));
+        let text =
+            rows(500, |row| format!("{},{value},{},{value}", samples(row, 2, ","), samples(row, 1, ",")));
         let (_folder, path) = file("emg.csv", &text);
-        let channels = (0..4).map(Channel::Index).collect();
-        let settings =
-            RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
-        let notices = check(&path, &settings).unwrap().notices;
-        let notice = notices.last().unwrap();
-        assert!(notice.to_string().contains("channel 2 was constant"), "{notice}");
+        let notice_of = |channels: std::ops::Range<usize>| {
+            let channels = channels.map(Channel::Index).collect();
+            let settings =
+                RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
+            let notices = check(&path, &settings).unwrap().notices;
+            notices.last().unwrap().to_string()
+        };
+        let (one, two) = (notice_of(0..4), notice_of(0..5));
+        assert!(
+            one.ends_with(&format!("channel 2 was constant ({value}): is its electrode connected?")),
+            "{one}"
+        );
+        assert!(two.contains(&format!("channels 2 ({value}), 4 ({value}) were constant: are")), "{two}");
     }
+}
+
+#[test]
+fn notices_are_summed_up_by_their_kind() {
+    let missing = |name: &str| Notice::MissingFile { file: name.into() };
+    let labels = Notice::Labels { file: "emg.csv".into(), column: "gesture".into() };
+    assert_eq!(
+        summed_up(&[missing("a"), labels, missing("b"), missing("c")]),
+        [
+            "a is missing: the recording jumps there (and 2 more notices of this kind)",
+            "emg.csv: column `gesture` says which gestures were made",
+        ]
+    );
+    assert!(summed_up(&[]).is_empty());
 }
 
 #[test]

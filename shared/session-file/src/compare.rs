@@ -25,6 +25,9 @@ pub struct Comparison {
     pub predictions: Differences,
     /// Of the decisions and commands.
     pub commands: Differences,
+    /// Whether each recording lacks the beginning of its session: it was begun while that ran. A replay does not know what the
+    /// filters and the detector had taken in by then, and begins anew with its first block.
+    pub lacks_beginning: [bool; 2],
 }
 
 /// What differs on one topic.
@@ -60,6 +63,11 @@ impl Comparison {
     pub fn differences(&self) -> u64 {
         self.predictions.count() + self.commands.count()
     }
+
+    /// Whether both recordings can be the same: either both have the beginning of their session, or neither.
+    pub fn is_fair(&self) -> bool {
+        self.lacks_beginning[0] == self.lacks_beginning[1]
+    }
 }
 
 impl Differences {
@@ -84,6 +92,7 @@ pub fn compare(
     Ok(Comparison {
         predictions: differences(&first.predictions, &second.predictions, prediction_difference),
         commands: differences(&first.commands, &second.commands, command_difference),
+        lacks_beginning: [first.lacks_beginning, second.lacks_beginning],
     })
 }
 
@@ -95,6 +104,7 @@ type At<T> = (f64, T);
 struct Made {
     predictions: BTreeMap<KeyOfWindow, At<PredictionRecord>>,
     commands: BTreeMap<KeyOfWindow, At<CommandRecord>>,
+    lacks_beginning: bool,
 }
 
 impl Made {
@@ -106,6 +116,7 @@ impl Made {
         let mut reader = Reader::open(path)?.without_samples();
         let mut epochs = Epochs::default();
         let mut start_ns = None;
+        let mut first_sequence = None;
         // A prediction may stand before its block in the file: the epochs are known only at the end.
         let (mut predictions, mut commands) = (Vec::new(), Vec::new());
         while let Some(message) = reader.next_message()? {
@@ -113,6 +124,7 @@ impl Made {
                 Message::Block(block) => {
                     epochs.take(block.first_sample, block.published_ns);
                     start_ns.get_or_insert(block.captured_ns);
+                    first_sequence.get_or_insert(block.sequence);
                 }
                 Message::Prediction(prediction) => predictions.push(prediction),
                 Message::Command(command) => commands.push(command),
@@ -130,7 +142,11 @@ impl Made {
             let key = epochs.key(&command.trace, command.context.first_sample);
             (key, (at_s(&command.trace), command))
         });
-        let made = Made { predictions: predictions.collect(), commands: commands.collect() };
+        let made = Made {
+            predictions: predictions.collect(),
+            commands: commands.collect(),
+            lacks_beginning: first_sequence.is_some_and(|sequence| sequence > 0),
+        };
         Ok((made, before + reader.bytes_read()))
     }
 }

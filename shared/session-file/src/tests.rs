@@ -263,7 +263,7 @@ fn a_stage_that_began_anew_is_marked_where_it_did() {
 
 #[test]
 fn a_mode_that_was_ordered_is_repeated_with_the_window_that_it_was_taken_with() {
-    let mut session = undisturbed(8);
+    let mut session = undisturbed(12);
     let commands = session.messages.iter_mut().filter_map(|message| match message {
         Message::Command(command) => Some(command),
         _ => None,
@@ -323,6 +323,25 @@ fn two_recordings_are_compared_window_by_window() {
     assert_eq!(found.commands.first[0].first_sample, 40);
     assert!(found.commands.first[0].what.starts_with("twist [0.0, -0.0,"), "{:?}", found.commands.first[0]);
     assert_eq!(found.predictions.first[0].what, "only in the first recording");
+    assert!(found.is_fair() && found.lacks_beginning == [false, false]);
+
+    // Begun by key, in a running session.
+    let first_block = first.messages.iter().position(|message| matches!(message, Message::Block(_))).unwrap();
+    let mut late = first.clone();
+    late.messages.remove(first_block);
+    let (_late_folder, late_path) = file_of(&late);
+    for (path, passed_over) in [(&first_path, [false, false]), (&late_path, [true, false])] {
+        // Windows of the recording begin with samples 0, 20, 40 and so on.
+        let mut marks = ReplayMarks::read(path).unwrap();
+        let is_passed_over = [10, 20].map(|first_sample| {
+            marks.begins_anew(first_sample);
+            marks.is_before_first_window(first_sample)
+        });
+        assert_eq!(is_passed_over, passed_over);
+    }
+    let found = compare(&first_path, &late_path, |_| ()).unwrap();
+    assert!(!found.is_fair() && found.lacks_beginning == [false, true]);
+    assert!(compare(&late_path, &late_path, |_| ()).unwrap().is_fair());
 }
 
 proptest! {

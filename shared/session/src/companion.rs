@@ -85,6 +85,11 @@ impl Companion {
         })
     }
 
+    /// Whether it was seen to have ended.
+    pub fn has_ended(&self) -> bool {
+        self.has_ended
+    }
+
     /// Says once that it has ended, if it has. Does not wait.
     pub fn look(&mut self) {
         if !self.has_ended

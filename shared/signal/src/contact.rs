@@ -237,7 +237,7 @@ fn white_roughness(filter: &FilterSettings, sample_rate_hz: f64) -> Option<f64> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{SignalChain, SignalSettings};
+    use crate::{Resampler, SignalChain, SignalSettings};
 
     const RATE_HZ: f64 = 2000.0;
     const REST_RMS: f32 = 20.0;
@@ -388,6 +388,31 @@ mod tests {
             let is_flat = newest >= begin + 200 && first < end + 1000;
             assert!(novelty > 1.0 || !is_flat, "window at {first}");
         }
+    }
+
+    #[test]
+    fn a_value_that_was_stuck_in_a_recording_of_another_rate_is_flat() {
+        let mut resampler = Resampler::new(2, 1, 1).expect("a resampler");
+        let mut chain = SignalChain::new(&SignalSettings::default(), 1, RATE_HZ).expect("a chain");
+        let mut muscles = Muscles { noise: Noise(7_919), last: [0.0; 2] };
+        let mut faults = Vec::new();
+        for at in 0..12_000 {
+            let muscle = REST_RMS * muscles.next();
+            let mut samples = Vec::new();
+            resampler.process(&[if (7000..9000).contains(&at) { 8191.0 } else { muscle }], &mut samples);
+            chain
+                .push_block(&samples, |chain, window, _| {
+                    faults.push((window.first_sample, chain.faults()[0]));
+                    Ok::<(), std::convert::Infallible>(())
+                })
+                .expect("nothing fails");
+        }
+        let share_flat = |range: std::ops::Range<u64>| {
+            let inside: Vec<_> = faults.iter().filter(|(first, _)| range.contains(first)).collect();
+            inside.iter().filter(|(_, fault)| *fault == Some(Fault::Flat)).count() as f64
+                / inside.len() as f64
+        };
+        assert_eq!([share_flat(0..13_400), share_flat(14_000..18_000)], [0.0, 1.0]);
     }
 
     #[test]

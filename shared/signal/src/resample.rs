@@ -6,6 +6,9 @@
 //! ```
 //! Computed as polyphase: without the products with a zero, and only for the outputs that are kept. Channels
 //! are summed side by side, each in its own lane and in the same order as alone.
+//!
+//! The phases of the low-pass add up to 1 only nearly, so a constant would ripple. Where all that the low-pass spans is one
+//! value, the output is that value: a stuck channel stays stuck, and is noticed.
 
 use std::array::from_fn;
 use std::f64::consts::PI;
@@ -44,6 +47,8 @@ pub struct Resampler {
     /// The newest `phase_len` inputs of every [`LANES`] channels, stored twice in a row, so that any
     /// `phase_len` of them are contiguous.
     histories: Vec<Vec<[f64; LANES]>>,
+    /// Of each channel, the newest input and how many in a row have had its value.
+    held: Vec<(f32, usize)>,
     /// Index of the newest input; inputs are written from the back.
     newest: usize,
     /// How many upsampled steps the next output lies after the next input.
@@ -95,6 +100,7 @@ impl Resampler {
             phases,
             delay_upsampled: half_len,
             histories: vec![vec![[0.0; LANES]; 2 * phase_len]; channels.div_ceil(LANES)],
+            held: vec![(0.0, phase_len); channels],
             newest: 0,
             next_output: 0,
         })
@@ -108,6 +114,7 @@ impl Resampler {
     /// Begins anew: what was pushed so far has no effect on what follows.
     pub fn reset(&mut self) {
         self.histories.iter_mut().for_each(|history| history.fill([0.0; LANES]));
+        self.held.fill((0.0, self.phase_len));
         (self.newest, self.next_output) = (0, 0);
     }
 
@@ -134,6 +141,10 @@ impl Resampler {
                 history[self.newest] = lanes;
                 history[self.newest + self.phase_len] = lanes;
             }
+            for ((value, times), &sample) in self.held.iter_mut().zip(samples) {
+                *times = if sample == *value { *times + 1 } else { 1 };
+                *value = sample;
+            }
             while self.next_output < self.up {
                 // Each sum waits for the previous one, so two outputs take no longer than one.
                 if self.next_output + self.down < self.up {
@@ -159,6 +170,14 @@ impl Resampler {
                 for (output, sum) in outputs[group * LANES..].iter_mut().zip(sums) {
                     *output = sum as f32;
                 }
+            }
+        }
+        for (channel, (value, times)) in self.held.iter().enumerate() {
+            if *times >= self.phase_len {
+                output[before + channel..]
+                    .iter_mut()
+                    .step_by(self.channels)
+                    .for_each(|output| *output = *value);
             }
         }
         self.next_output += N * self.down;
@@ -239,6 +258,30 @@ mod tests {
         }
         assert_eq!(Resampler::new(0, 1, 1).err(), Some(DesignError::Ratio { up: 0, down: 1 }));
         assert_eq!(Resampler::new(2, 1, 0).err(), Some(DesignError::NoChannels));
+    }
+
+    #[test]
+    fn what_is_stuck_stays_stuck_and_only_that_channel() {
+        let changing = |n: usize| (n % 7) as f32;
+        for (up, down) in [(2, 1), (27, 26), (1, 2)] {
+            let mut resampler = Resampler::new(up, down, 2).expect("a resampler");
+            let input: Vec<f32> = (0..300)
+                .flat_map(|n| [if (100..200).contains(&n) { 1234.567 } else { changing(n) }, changing(n)])
+                .collect();
+            let mut output = Vec::new();
+            resampler.process(&input, &mut output);
+            // From the input that fills the low-pass with the stuck value until the one that ends it.
+            let [from, to] = [100 + resampler.phase_len, 200].map(|n| (n * up).div_ceil(down));
+            let stuck: Vec<f32> = output.iter().step_by(2).copied().collect();
+            assert!(stuck[from..to].iter().all(|sample| *sample == 1234.567), "{up}/{down}");
+            let moved = |channel: usize, n: usize| output[2 * n + channel] != output[2 * n + 2 + channel];
+            assert!((from..to - 1).any(|n| moved(1, n)), "{up}/{down}: the other channel");
+            assert!((to..output.len() / 2 - 1).any(|n| moved(0, n)), "{up}/{down}: after it");
+            resampler.reset();
+            let mut again = Vec::new();
+            resampler.process(&input, &mut again);
+            assert_eq!(output, again, "{up}/{down}");
+        }
     }
 
     #[test]

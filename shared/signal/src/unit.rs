@@ -8,7 +8,7 @@ const UNITS: [(&str, &[&str], Option<f64>); 5] = [
     // With the micro sign, the Greek letter, and without either.
     ("uV", &["uv", "\u{b5}v", "\u{3bc}v", "microvolt", "microvolts"], Some(1e-6)),
     ("nV", &["nv", "nanovolt", "nanovolts"], Some(1e-9)),
-    ("adc_counts", &["adc_counts", "adc counts", "adc_count", "adc count"], None),
+    ("adc_counts", &["adc_counts", "adc counts", "adc_count", "adc count", "counts"], None),
 ];
 
 /// Samples cannot be had in the unit of the session.
@@ -68,7 +68,7 @@ mod tests {
         for spelling in ["uV", "\u{b5}V", "\u{3bc}V", "microvolts", "MicroVolt", " uv "] {
             assert_eq!(canonical_unit(spelling), "uV", "{spelling}");
         }
-        for spelling in ["ADC counts", "adc_counts", "ADC_Count"] {
+        for spelling in ["ADC counts", "adc_counts", "ADC_Count", "counts"] {
             assert_eq!(canonical_unit(spelling), "adc_counts", "{spelling}");
         }
         assert_eq!(canonical_unit(" furlongs "), "furlongs");

@@ -13,6 +13,9 @@ use tendon_signal::{UnitError, canonical_unit, unit_factor};
 /// Largest difference between the rate of an amplifier and that of the session, as a share: windows and filters are the same then.
 const RATE_TOLERANCE: f64 = 1e-3;
 
+/// How many channels a message names.
+const NAMES_LISTED: usize = 16;
+
 /// What an amplifier offers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Offer {
@@ -168,8 +171,8 @@ impl Offer {
         if muscles.len() >= wanted {
             return Ok(muscles[..wanted].to_vec());
         }
-        let names: Vec<&str> = muscles.iter().map(|&place| self.channels[place].name.as_str()).collect();
-        Err(OfferError::TooFew { offered: muscles.len(), names: names.join(", "), wanted })
+        let names = listed(muscles.iter().map(|&place| self.channels[place].name.clone()));
+        Err(OfferError::TooFew { offered: muscles.len(), names, wanted })
     }
 
     fn selected(&self, selection: &[Channel]) -> Result<Vec<usize>, OfferError> {
@@ -202,9 +205,7 @@ impl Offer {
     }
 
     fn numbered_names(&self) -> String {
-        let names =
-            self.channels.iter().enumerate().map(|(place, channel)| format!("{place}: {}", channel.name));
-        names.collect::<Vec<_>>().join(", ")
+        listed(self.channels.iter().enumerate().map(|(place, channel)| format!("{place}: {}", channel.name)))
     }
 
     /// The one unit of these channels.
@@ -247,6 +248,15 @@ impl Choice {
         for instant in instants.chunks_exact(self.offered) {
             into.extend(self.taken.iter().map(|&(place, factor)| instant[place] * factor));
         }
+    }
+}
+
+/// The first of some names, and how many more there are: a Quattrocento has 384 channels.
+fn listed(mut names: impl ExactSizeIterator<Item = String>) -> String {
+    let first = names.by_ref().take(NAMES_LISTED).collect::<Vec<_>>().join(", ");
+    match names.len() {
+        0 => first,
+        more => format!("{first} and {more} more"),
     }
 }
 
@@ -301,6 +311,18 @@ mod tests {
         let mut taken = Vec::new();
         choice.take(&[7.0, 500.0, 2.0, 9.0], &mut taken);
         assert_eq!(taken, [9.0, 500.0]);
+    }
+
+    #[test]
+    fn of_many_channels_a_refusal_names_the_first() {
+        let mut many = offer();
+        many.channels = (1..=384)
+            .map(|number| OfferedChannel { name: format!("EMG {number}"), unit: "mV".into(), is_emg: true })
+            .collect();
+        let refused = many.choose(&settings(1, Some(&["thumb".into()]), None)).unwrap_err().to_string();
+        assert!(refused.ends_with("only 0: EMG 1, 1: EMG 2, 2: EMG 3, 3: EMG 4, 4: EMG 5, 5: EMG 6, 6: EMG 7, 7: EMG 8, \
+                                   8: EMG 9, 9: EMG 10, 10: EMG 11, 11: EMG 12, 12: EMG 13, 13: EMG 14, 14: EMG 15, \
+                                   15: EMG 16 and 368 more"), "{refused}");
     }
 
     #[test]

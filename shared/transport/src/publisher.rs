@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use iceoryx2::port::publisher::Publisher as Port;
+use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{BackpressureAction, BackpressureInfo};
 use iceoryx2::prelude::{BackpressureStrategy, ZeroCopySend, ipc};
 use iceoryx2::sample_mut::SampleMut;
@@ -185,6 +186,15 @@ impl<H: Traced, E: Element> Publisher<H, E> {
         self.next_sequence += 1;
         self.waker.wake();
         Ok(published_ns)
+    }
+
+    /// Connects to the subscribers that came after this port, which allocates; otherwise the next message does so.
+    ///
+    /// # Errors
+    ///
+    /// [`PublishError::Transport`] when a subscriber's memory cannot be mapped.
+    pub fn connect(&self) -> Result<(), PublishError> {
+        self.port.update_connections().map_err(|error| self.transport_error(&error))
     }
 
     /// Messages published so far.

@@ -5,7 +5,7 @@
 //! ```
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
@@ -24,22 +24,18 @@ use tendon_transport::{Leftovers, SessionLock};
 use super::board::StatusBoard;
 use super::check::{CheckRound, CheckScores};
 use super::learnt::PageReport;
+use super::page::CalibrationPage;
 use super::recording::Recording;
 use super::round::{Attendance, Live, RoundEnd};
 use super::status::{CalibrationStatus, Phase};
 use super::{Fitted, Selection, fit, report, update};
-use crate::next::Handover;
+use crate::next::Following;
 use crate::options::duration;
-use crate::page::Page;
 use crate::personal::{WINDOWS, ask_for, check_simulated, is_simulated, personal_windows};
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// What the keys do.
 const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
-/// What is said while the page shows what came of it.
-const HELD: &str = "the page goes on from here; Ctrl-C ends it";
-/// Time between two looks at the page meanwhile.
-const HOLD_LOOK: Duration = Duration::from_millis(200);
 
 /// What can be said of a guided calibration.
 #[derive(Debug, Args)]
@@ -67,13 +63,22 @@ pub struct GuidedOptions {
     pause: Option<Duration>,
 }
 
-/// Guides a person through a calibration, fits and keeps them.
+impl GuidedOptions {
+    /// The times again, a word each.
+    pub fn times(&self) -> Vec<String> {
+        let times = [("--rest", self.rest), ("--hold", self.hold), ("--pause", self.pause)];
+        let given = times.into_iter().filter_map(|(option, time)| Some((option, time?)));
+        given.map(|(option, time)| format!("{option}={}", humantime::format_duration(time))).collect()
+    }
+}
+
+/// Guides a person through a calibration, fits and keeps them; gives what is to follow.
 pub fn calibrate(
     options: &super::Options,
     people: &People,
     json: Option<&OutputFile>,
     begun: Provenance,
-) -> Result<(), Failure> {
+) -> Result<Option<Following>, Failure> {
     let plan = Plan::of(options, people).map_err(Failure::input)?;
     let session = plan.config.session.clone();
     let lock = SessionLock::take(&session).map_err(Failure::input)?;
@@ -84,23 +89,37 @@ pub fn calibrate(
     result
 }
 
-/// Carries out a calibration and says what came of it: on the terminal, and on the page, which stays until somebody ends it.
-fn attend(plan: Plan<'_>, begun: Provenance, json: Option<&OutputFile>) -> Result<(), Failure> {
+/// Looks whether a calibration with these options could begin.
+///
+/// # Errors
+///
+/// Why not.
+pub fn check(options: &super::Options, people: &People) -> anyhow::Result<()> {
+    Plan::of(options, people).map(drop)
+}
+
+/// Carries out a calibration and says what came of it: on the terminal, and on the page, which stays until somebody goes on from
+/// there or ends it.
+fn attend(
+    plan: Plan<'_>,
+    begun: Provenance,
+    json: Option<&OutputFile>,
+) -> Result<Option<Following>, Failure> {
     let Plan { options, .. } = plan;
-    checks::shared_memory(&plan.config).map_err(Failure::input)?;
+    let config = plan.config.clone();
+    checks::shared_memory(&config).map_err(Failure::input)?;
     let errors = Writer::standard_error().map_err(Failure::running)?;
     let robot = RobotLine::default();
     let (sender, events) = channel();
     stop_on_signals(&robot, &sender).context("cannot handle signals").map_err(Failure::running)?;
     let status = CalibrationStatus::new(options.name.clone(), plan.guide.repetitions);
-    let board = StatusBoard::open(status, &plan.config, &sender).map_err(Failure::input)?;
+    let board = StatusBoard::open(status, &config, &sender).map_err(Failure::input)?;
     let has_keys = Keyboard::is_there();
     let keyboard = has_keys.then(|| Keyboard::listen(&robot, &sender, Keys::Guide));
     let keyboard = keyboard.transpose().context("keys").map_err(Failure::input)?;
-    let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
-    let start = || Page::start(&options.page, &plan.config, before.as_ref(), &errors);
-    let mut page = options.page.page.then(start).transpose().map_err(Failure::running)?;
-    let attendance = Attendance { has_keys, has_page: options.page.takes_orders() };
+    let mut page = CalibrationPage::start(options, &config, &errors)?;
+    let has_page = page.is_some() && options.page.takes_orders();
+    let attendance = Attendance { has_keys, has_page };
     let place = Place { errors: &errors, board: &board, robot: &robot, sender: &sender, events: &events };
     let learnt = plan.carry_out(begun, &place, attendance);
     show_end(&board, &learnt);
@@ -112,26 +131,15 @@ fn attend(plan: Plan<'_>, begun: Provenance, json: Option<&OutputFile>) -> Resul
         }
         None => Ok(()),
     });
-    let Some(page) = page.as_mut().filter(|_| !robot.is_ending()) else { return result };
+    let Some(page) = page.as_mut().filter(|_| !robot.is_ending()) else { return result.map(|()| None) };
     let result = result.map_err(|Failure { error, exit_code }| {
         errors.say(format!("tendon: error: {error:#}"));
         Failure { error: anyhow!("{} was not calibrated, as said above", options.name), exit_code }
     });
-    hold(page, &events, &errors);
+    let following = page.hold(options, &config, &events);
     drop(keyboard);
     let _ = errors.finish(TERMINAL_TIMEOUT);
-    result
-}
-
-/// Keeps on the page what came of a calibration, until somebody goes on from there or ends it.
-fn hold(page: &mut Page, events: &Receiver<Event>, errors: &Writer) {
-    errors.say(HELD);
-    loop {
-        match events.recv_timeout(HOLD_LOOK) {
-            Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return,
-            Ok(_) | Err(RecvTimeoutError::Timeout) => page.look(),
-        }
-    }
+    following.map_or_else(|| result.map(|()| None), |following| Ok(Some(following)))
 }
 
 /// A calibration as it is asked for. Nothing of it has begun.

@@ -22,7 +22,11 @@ pub(super) fn signals(survey: &Survey) -> Result<Vec<BdfSignal>, ExportError> {
         })?;
         signals.push(BdfSignal {
             label: label(name, channel),
-            unit: canonical_unit(&survey.unit).to_owned(),
+            // A header has room for 8 characters.
+            unit: match canonical_unit(&survey.unit) {
+                "adc_counts" => "counts".to_owned(),
+                unit => unit.to_owned(),
+            },
             low,
             high,
         });

@@ -1,13 +1,29 @@
 //! The samples of a session as BDF+.
 
 use std::fs::File;
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Read};
+use std::path::Path;
 
 use tendon_session_file::{Block, Message, Reader};
 
 use super::events::BidsEvent;
 use crate::bdf::{BdfHeader, BdfSignal, BdfWriter, RecordLength};
 use crate::{ExportError, Survey, Timeline};
+
+/// What the header of an exported file calls what recorded it, before the version.
+const EQUIPMENT: &str = "Tendon";
+/// Bytes of a header in which that stands.
+const HEADER_BEGINNING: u64 = 168;
+
+/// Whether the file is a recording that was exported.
+pub(super) fn is_exported(path: &Path) -> bool {
+    let mut beginning = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEADER_BEGINNING).read_to_end(&mut beginning));
+    let equipment = format!(" X X {EQUIPMENT}");
+    read.is_ok()
+        && beginning.starts_with(b"\xFFBIOSEMI")
+        && beginning.windows(equipment.len()).any(|bytes| bytes == equipment.as_bytes())
+}
 
 /// How long the records are.
 pub(super) fn record_length(survey: &Survey) -> RecordLength {
@@ -27,7 +43,7 @@ pub(super) fn write(
     let version = survey.provenance["version"].as_str().unwrap_or_default();
     let header = BdfHeader {
         patient: survey.person.as_ref().map_or("X", |person| person.as_str()).to_owned(),
-        equipment: format!("Tendon {version}").trim().to_owned(),
+        equipment: format!("{EQUIPMENT} {version}").trim().to_owned(),
         begun_at: survey.begun_at,
         is_discontinuous: !survey.gaps.is_empty(),
         signals: signals.to_vec(),
