@@ -126,6 +126,13 @@ pub fn command_line_after(run: &[String], strategy: Strategy, next: &Next) -> an
 ///
 /// When it would be refused if it were typed; in words.
 pub fn session_after(run: &[String], strategy: Strategy, next: &NextSession) -> anyhow::Result<Vec<String>> {
+    let command_line = changed(run, strategy, next)?;
+    check(&command_line)?;
+    Ok(command_line)
+}
+
+/// The same, without a look at what the options mean.
+fn changed(run: &[String], strategy: Strategy, next: &NextSession) -> anyhow::Result<Vec<String>> {
     let mut command_line = without(run, &[PERSON, TASK]);
     if let Some(person) = &next.person {
         let person: PersonName = person.parse()?;
@@ -143,7 +150,6 @@ pub fn session_after(run: &[String], strategy: Strategy, next: &NextSession) -> 
         command_line.push(format!("{STRATEGY}={wanted}"));
     }
     command_line.extend(next.task.iter().map(|task| format!("{TASK}={task}")));
-    check(&command_line)?;
     Ok(command_line)
 }
 
@@ -210,8 +216,12 @@ mod tests {
         line.split_whitespace().map(str::to_owned).collect()
     }
 
-    fn after(run: &str, strategy: Strategy, next: &NextSession) -> anyhow::Result<String> {
-        session_after(&words(run), strategy, next).map(|line| line.join(" "))
+    fn after(run: &str, strategy: Strategy, next: &NextSession) -> String {
+        changed(&words(run), strategy, next).unwrap().join(" ")
+    }
+
+    fn refused(run: &str, next: &NextSession) -> String {
+        format!("{:#}", session_after(&words(run), Strategy::Direct, next).unwrap_err())
     }
 
     #[test]
@@ -223,16 +233,16 @@ mod tests {
         };
         let run = "tendon run --page --task zones --set session=a --strategy=direct --model x.onnx --seed 3";
         assert_eq!(
-            after(run, Strategy::Direct, &next(Some("threshold"), None)).unwrap(),
+            after(run, Strategy::Direct, &next(Some("threshold"), None)),
             "tendon run --page --set session=a --seed 3 --strategy=threshold"
         );
         // A model stays with its strategy.
         assert_eq!(
-            after(run, Strategy::Direct, &next(Some("direct"), Some("paper-zones"))).unwrap(),
+            after(run, Strategy::Direct, &next(Some("direct"), Some("paper-zones"))),
             "tendon run --page --set session=a --model x.onnx --seed 3 --strategy=direct --task=paper-zones"
         );
         assert_eq!(
-            after(run, Strategy::Direct, &next(None, None)).unwrap(),
+            after(run, Strategy::Direct, &next(None, None)),
             "tendon run --page --set session=a --strategy=direct --model x.onnx --seed 3"
         );
         for (strategy, task, why) in [
@@ -241,8 +251,8 @@ mod tests {
             (None, Some("nothing"), "nothing"),
             (Some("personal"), None, "person"),
         ] {
-            let refused = after(run, Strategy::Direct, &next(strategy, task)).unwrap_err();
-            assert!(format!("{refused:#}").contains(why), "{refused:#}");
+            let refused = refused(run, &next(strategy, task));
+            assert!(refused.contains(why), "{refused}");
         }
     }
 
@@ -253,13 +263,15 @@ mod tests {
             strategy: strategy.map(str::to_owned),
             task: None,
         };
-        let refused = |next: &NextSession| {
-            format!("{:#}", after("tendon run --page", Strategy::Threshold, next).unwrap_err())
-        };
+        let run = "tendon run --page";
+        assert_eq!(
+            after("tendon run --page --strategy direct --model x", Strategy::Direct, &next("anna", None)),
+            "tendon run --page --person=anna"
+        );
         for path in ["../x", "/etc/passwd", "", "--json=x", "anna.toml"] {
-            assert!(refused(&next(path, None)).contains("a-z 0-9"), "{path}");
+            assert!(refused(run, &next(path, None)).contains("a-z 0-9"), "{path}");
         }
-        assert!(refused(&next("nobody-of-that-name", None)).contains("nobody-of-that-name"));
-        assert!(refused(&next("anna", Some("direct"))).contains("personal"));
+        assert!(refused(run, &next("nobody-of-that-name", None)).contains("nobody-of-that-name"));
+        assert!(refused(run, &next("anna", Some("direct"))).contains("personal"));
     }
 }

@@ -263,7 +263,7 @@ fn a_stage_that_began_anew_is_marked_where_it_did() {
 
 #[test]
 fn a_mode_that_was_ordered_is_repeated_with_the_window_that_it_was_taken_with() {
-    let mut session = undisturbed(8);
+    let mut session = undisturbed(12);
     let commands = session.messages.iter_mut().filter_map(|message| match message {
         Message::Command(command) => Some(command),
         _ => None,
