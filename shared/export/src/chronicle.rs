@@ -74,9 +74,11 @@ impl Chronicle {
         let before = (self.timeline.end_s(), self.timeline.rows());
         let placed = self.timeline.take(block);
         let (mut cue, mut ended) = (None, None);
-        if let Some(Cue { since_sample, gesture, .. }) = self.cue.take() {
-            let last = u64::from(block.samples).saturating_sub(1);
-            let sample = since_sample.saturating_sub(block.first_sample).min(last);
+        // The end of a simulated gesture is known before it comes: the cue waits for its block.
+        let end_sample = block.first_sample.saturating_add(u64::from(block.samples));
+        if let Some(Cue { since_sample, gesture, .. }) = self.cue.take_if(|cue| cue.since_sample < end_sample)
+        {
+            let sample = since_sample.saturating_sub(block.first_sample);
             let start = (placed.start_s + sample as f64 / self.sample_rate_hz, placed.row + sample);
             // What ends with a block ends before the gap behind it.
             ended = self.end_trial(if sample == 0 { before } else { start });

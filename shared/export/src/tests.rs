@@ -82,8 +82,13 @@ impl Session {
     }
 
     pub(crate) fn cue(&mut self, class_number: u8, gesture: &str) {
+        self.cue_ahead(0, class_number, gesture);
+    }
+
+    /// A cue that is known so many samples before it comes.
+    pub(crate) fn cue_ahead(&mut self, samples: u64, class_number: u8, gesture: &str) {
         self.messages.push(Message::Cue(Cue {
-            since_sample: self.next_sample,
+            since_sample: self.next_sample + samples,
             captured_ns: self.now_ns,
             class_number: Some(class_number),
             gesture: Some(gesture.to_owned()),
@@ -276,6 +281,20 @@ fn the_signal_reads_back_bit_for_bit_with_its_gaps_in_time() {
         assert!((times[row] - time_s).abs() < 2e-7, "row {row}: {} s", times[row]);
     }
     assert_eq!(names(&tables, "signal.csv"), ["time_s", "flexor", "channel_2", "a_ _b_"]);
+}
+
+#[test]
+fn a_cue_that_is_known_before_it_comes_waits_for_its_block() {
+    let mut session = Session::new(3);
+    session.cue(1, "extension");
+    session.blocks(2);
+    session.cue_ahead(15, 0, "rest");
+    session.blocks(2);
+    let (_folder, tables) = exported(&session);
+    assert_eq!(
+        rows(&tables, "trials.csv"),
+        [["0.0000000", "0.0175000", "extension", "0", "35"], ["0.0175000", "0.0200000", "rest", "35", "40"]]
+    );
 }
 
 #[test]
