@@ -432,8 +432,10 @@ fn options_that_would_have_no_effect() {
     let from_file = ["run", "--set", "acquisition.source=replay", "--set", "acquisition.replay.path=emg.csv"];
     let scripted = [&from_file[..], &["--script", "rest 6s"]].concat();
     let build = ["dataset", "build", table, "--out", "windows"];
-    let cases: [(&[&str], [&str; 3]); 17] = [
+    let simulate = ["run", "--replay", table, "--set", "acquisition.source=simulate"];
+    let cases: [(&[&str], [&str; 3]); 18] = [
         (&replay, ["--seed", "--replay", "leave one of the two out"]),
+        (&simulate, ["--replay", "--set acquisition.source=simulate", "leave one of the two out"]),
         (&scripted, ["--script", "acquisition.source is \"replay\"", "leave --script out"]),
         (
             &["run", "--rest-move-model", five],

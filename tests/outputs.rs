@@ -37,13 +37,14 @@ fn an_output_that_cannot_be_written_is_refused_before_anything_starts() {
 fn outputs_that_would_replace_each_other_or_what_is_read_are_refused() {
     let six = model("cnn-six-class");
     let evaluate = ["evaluate", "emg", "--model", six.to_str().unwrap()];
-    let cases: [(&[&str], &[&str]); 6] = [
+    let cases: [(&[&str], &[&str]); 7] = [
         (&["run", "--json", "a.json", "--figures", "a.json"], &["a.json", "two outputs"]),
         (&["run", "--latency-log", "a", "--figures", "./b/../a/figures"], &["lies below a", "another path"]),
         (&["run", "--json", "mine.toml", "--config", "mine.toml"], &["mine.toml", "what the command reads"]),
         (&[&evaluate[..], &["--json", "scores", "--figures", "scores"]].concat(), &["scores", "two outputs"]),
         (&["strategies", "emg.csv", "--json", "emg.csv"], &["emg.csv", "what the command reads"]),
         (&["profile", "fit", "emg.csv", "--out", "emg.csv"], &["emg.csv", "what the command reads"]),
+        (&["profile", "fit", "emg.csv", "--out", "notes.txt"], &["notes.txt", "is no profile"]),
     ];
     for (arguments, parts) in cases {
         let builder = TendonBuilder::command(&unique_session(), arguments);
@@ -52,6 +53,7 @@ fn outputs_that_would_replace_each_other_or_what_is_read_are_refused() {
         for input in ["mine.toml", "emg.csv"] {
             fs::write(folder.join(input), "").unwrap();
         }
+        fs::write(folder.join("notes.txt"), "mine").unwrap();
         let before = fs::read_dir(&folder).unwrap().count();
         let mut tendon = builder.start();
         tendon.end_whatever_is_left().assert_failed(2, parts);

@@ -326,7 +326,10 @@ fn a_full_disk_and_a_deleted_file_stop_the_recording_and_not_the_session() {
     std::fs::remove_file(file_in(folder.path()).unwrap()).unwrap();
     wait_until("the note on it", || session.errors_so_far().contains("was deleted or moved").then_some(()));
     session.signal(Signal::SIGINT);
-    assert_eq!(session.end().exit_code, Some(0));
+    let ended = session.end();
+    assert_eq!(ended.exit_code, Some(0));
+    assert!(!ended.errors.contains("holds what was written until then"), "{ended:#?}");
+    assert!(ended.output.contains("where it is no more"), "{ended:#?}");
 
     let blocked = folder.path().join("file");
     std::fs::write(&blocked, "").unwrap();

@@ -11,6 +11,7 @@ use tendon_messages::{PREDICTIONS, WINDOWS};
 use tendon_pipeline::{Pipeline, PipelineSettings};
 use tendon_recordings::{Channel, RecordingSettings, ReplayStream};
 use tendon_report::Report;
+use tendon_session_file::{Reader, Record};
 use tendon_system_tests::recordings::{
     MOVEMENT, REST, Stretch, real_three_dc, write_edf, write_table, write_three_dc,
 };
@@ -79,12 +80,27 @@ fn the_columns_of_a_table_are_named_and_its_time_gives_the_rate_and_the_gaps() {
     assert!(ended.output.contains("at 2000 Hz, columns flexor, extensor, thumb, ulna\n"), "{ended:#?}");
     assert!(ended.errors.contains("200 samples are missing in 1 place"), "{ended:#?}");
     assert!(ended.errors.contains("channels extensor (2), thumb (3), ulna (4) were constant"), "{ended:#?}");
-    let ended = run(&["--set", "acquisition.replay.channels=[2,1,0,3]"]);
+    let recorded = folder.path().join("recorded");
+    let channels = "acquisition.replay.channels=[2,1,0,3]";
+    let ended = run(&["--set", channels, "--record", recorded.to_str().unwrap()]);
     assert!(ended.output.contains("columns extensor, flexor, time, thumb\n"), "{ended:#?}");
     assert!(
         ended.errors.contains("column `time` is taken as EMG, as asked, but looks like time"),
         "{ended:#?}"
     );
+    // What was recorded has the names of the columns, too.
+    let session = std::fs::read_dir(&recorded).unwrap().next().unwrap().unwrap().path();
+    let mut reader = Reader::open(&session.join("session.mcap")).unwrap();
+    let mut said = None;
+    while let Some(record) = reader.next().unwrap() {
+        if let Record::Metadata { name, facts } = record
+            && name == "stages"
+        {
+            said = facts.get("json").cloned();
+        }
+    }
+    let names = r#""channels":["extensor","flexor","time","thumb"]"#;
+    assert!(said.as_ref().unwrap().contains(names), "{said:?}");
 }
 
 #[test]

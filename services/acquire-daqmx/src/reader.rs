@@ -10,7 +10,7 @@ use std::io::{PipeWriter, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tendon_daqmx::{Daqmx, DaqmxError, NidaqmxSettings, Task, Trouble};
 use tendon_transport::now_ns;
@@ -21,6 +21,8 @@ use crate::record::Outgoing;
 const LONGEST_WAIT_S: f64 = 0.25;
 /// Time between two attempts to find a device that is gone.
 const RETRY: Duration = Duration::from_millis(500);
+/// Time between two lines about the same trouble.
+const REMINDER: Duration = Duration::from_secs(30);
 
 /// What the thread needs.
 pub struct Reader {
@@ -56,6 +58,22 @@ impl Numbers {
         let elapsed_s = newest_ns.saturating_sub(self.newest_ns) as f64 * 1e-9;
         let due = (elapsed_s * sample_rate_hz).round() as u64;
         self.next += due.saturating_sub(samples as u64);
+    }
+}
+
+/// What was said last of what is wrong, so that it is not said at every try.
+#[derive(Clone, Copy, Debug, Default)]
+struct Told(Option<(Trouble, Instant)>);
+
+impl Told {
+    /// Whether this trouble is to be said now: another one than before, or the same after a while.
+    fn is_due(&mut self, trouble: Trouble, now: Instant) -> bool {
+        let is_due =
+            self.0.is_none_or(|(before, at)| before != trouble || now.duration_since(at) >= REMINDER);
+        if is_due {
+            self.0 = Some((trouble, now));
+        }
+        is_due
     }
 }
 
@@ -107,7 +125,9 @@ impl Reader {
     fn read_until_stopped(&mut self, daqmx: &Daqmx, task: Task) {
         let mut numbers = Numbers { next: 0, newest_ns: now_ns() };
         let mut task = Some(task);
-        let mut is_first = true;
+        let mut told = Told::default();
+        // Whether it is said that the device acquires again: if it was said that it did not.
+        let mut says_resumed = None;
         while !self.stop.load(Ordering::Relaxed) {
             let Some(running) = task.take() else {
                 std::thread::sleep(RETRY);
@@ -115,24 +135,40 @@ impl Reader {
                 task = Task::new(daqmx, &self.settings, self.sample_rate_hz).ok();
                 continue;
             };
-            let error = match self.read(&running, &mut numbers, is_first) {
+            let (began, first) = (Instant::now(), numbers.next);
+            let error = match self.read(&running, &mut numbers, says_resumed) {
                 Ok(()) => return,
                 Err(error) => error,
             };
-            is_first = false;
-            match error.trouble() {
+            let trouble = error.trouble();
+            let acquired = numbers.next != first;
+            if acquired && trouble != Trouble::Overrun {
+                // It was back, and is gone once more.
+                told = Told::default();
+            }
+            let is_due = told.is_due(trouble, Instant::now());
+            says_resumed = Some(is_due || (!acquired && says_resumed == Some(true)));
+            match trouble {
+                _ if !is_due => {}
                 Trouble::Overrun => tracing::warn!("{error}"),
                 _ => tracing::warn!("{error}; looking for the device until it is back"),
             }
             drop(running);
-            if error.trouble() == Trouble::Overrun {
+            // At once, unless it never got to acquire.
+            if trouble == Trouble::Overrun && began.elapsed() >= RETRY {
                 task = Task::new(daqmx, &self.settings, self.sample_rate_hz).ok();
             }
         }
     }
 
-    /// Starts the task and hands its samples over, until it fails or is to end.
-    fn read(&mut self, task: &Task, numbers: &mut Numbers, is_first: bool) -> Result<(), DaqmxError> {
+    /// Starts the task and hands its samples over, until it fails or is to end. `says_resumed`: whether to say that the device
+    /// acquires again; `None` for the first task.
+    fn read(
+        &mut self,
+        task: &Task,
+        numbers: &mut Numbers,
+        says_resumed: Option<bool>,
+    ) -> Result<(), DaqmxError> {
         let samples = self.block_samples;
         let values = samples * task.channels().len();
         let mut volts = vec![0.0; values];
@@ -152,9 +188,11 @@ impl Reader {
             if count != samples {
                 continue;
             }
-            if std::mem::take(&mut begins) && !is_first {
+            if let (true, Some(is_said)) = (std::mem::take(&mut begins), says_resumed) {
                 numbers.resume(received_ns, samples, task.sample_rate_hz());
-                tracing::warn!("the device acquires again");
+                if is_said {
+                    tracing::warn!("the device acquires again");
+                }
             }
             let millivolts = volts.iter().map(|volt| (volt * to_millivolts) as f32);
             if self.pipe.write_all(record.bytes(numbers.next, received_ns, millivolts)).is_err() {
@@ -179,5 +217,18 @@ mod tests {
         assert_eq!(numbers.next, 100 + 2000);
         numbers.resume(2_005_000_000, 10, 0.0);
         assert_eq!(numbers.next, 2100, "never backwards");
+    }
+
+    #[test]
+    fn a_trouble_that_goes_on_is_said_once_and_then_rarely() {
+        let (mut told, began) = (Told::default(), Instant::now());
+        let tries = |told: &mut Told, trouble, from_s: u64| {
+            (from_s * 2..(from_s + 60) * 2)
+                .filter(|half| told.is_due(trouble, began + RETRY * *half as u32))
+                .count()
+        };
+        assert_eq!(tries(&mut told, Trouble::Overrun, 0), 2);
+        assert_eq!(tries(&mut told, Trouble::Unplugged, 60), 2);
+        assert!(told.is_due(Trouble::Overrun, began + RETRY * 240));
     }
 }

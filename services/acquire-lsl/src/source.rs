@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail, ensure};
 use tendon_config::AcquisitionSettings;
 use tendon_lsl::{ChannelFacts, Format, Inlet, Lsl, LslError, LslSettings, Reader, Stream, StreamFacts};
-use tendon_process::SignalDescription;
+use tendon_process::{STALE_NS, SignalDescription};
 use tendon_source::{BlockAssembler, Choice, Chunk, Next, Offer, OfferedChannel, Source, SourceError, Wait};
 
 use crate::timeline::{Arrival, Oddities, Timeline};
@@ -17,6 +17,10 @@ const ANSWER: Duration = Duration::from_secs(5);
 const LISTEN: Duration = Duration::from_secs(1);
 /// Time between two lines about odd time stamps.
 const ODDITIES_INTERVAL: Duration = Duration::from_secs(10);
+/// So long, all stamps are too old until it is said.
+const OLD_FOR: Duration = Duration::from_secs(2);
+/// Time between two lines about stamps that are too old.
+const OLD_INTERVAL: Duration = Duration::from_secs(30);
 
 /// The stream that a session reads.
 pub struct LslSource {
@@ -34,6 +38,9 @@ pub struct LslSource {
     taken: Vec<f32>,
     told: Oddities,
     told_at: Option<Instant>,
+    /// Since when all stamps are too old to act upon.
+    old_since: Option<Instant>,
+    old_told_at: Option<Instant>,
 }
 
 impl LslSource {
@@ -72,6 +79,8 @@ impl LslSource {
             taken: Vec::with_capacity(settings.channels * settings.sample_rate_hz as usize),
             told: Oddities::default(),
             told_at: None,
+            old_since: None,
+            old_told_at: None,
             stream,
         })
     }
@@ -108,6 +117,25 @@ impl LslSource {
             });
         }
         Ok(())
+    }
+
+    /// Says that all stamps are too old to act upon, seldom.
+    fn tell_old_stamps(&mut self) {
+        let age_s = self.timeline.stamp_age_s();
+        if age_s * 1e9 <= STALE_NS as f64 {
+            self.old_since = None;
+            return;
+        }
+        let is_told = self.old_told_at.is_some_and(|told| told.elapsed() < OLD_INTERVAL);
+        if self.old_since.get_or_insert_with(Instant::now).elapsed() < OLD_FOR || is_told {
+            return;
+        }
+        self.old_told_at = Some(Instant::now());
+        tracing::warn!(
+            "LSL: the stamps in the stream \"{}\" are {age_s:.1} s old, and its samples are left out: does its program stamp them \
+             with another clock than LSL's, or does the network hold them up?",
+            self.stream.name
+        );
     }
 
     /// Says what is odd about the time stamps, seldom.
@@ -147,6 +175,7 @@ impl Source for LslSource {
     fn next_block(&mut self, samples: &mut [f32]) -> Result<Next, SourceError> {
         self.take_frames()?;
         self.tell_oddities();
+        self.tell_old_stamps();
         Ok(self.assembler.next_block(samples).map_or(Next::NotYet, Next::Block))
     }
 

@@ -9,10 +9,14 @@
 //!
 //! LSL carries no counter: samples are lost where time stamps leap. Stamps that a program counts are exact, and each missing
 //! sample shows. Stamps of the moment of sending jitter by milliseconds, and a late one cannot be told from a short gap.
+//!
+//! A stamp that contradicts those before it (it lies before them, or after all time that has passed) says nothing about loss or
+//! the sender's clock. Once the stamps agree with one another for a while, the clock has leapt and is measured anew. Until then,
+//! no sample counts as newer than its stamp says.
 
 use std::ops::Range;
 
-use tendon_source::DeviceClock;
+use tendon_source::{DeviceClock, LossByTime};
 
 /// How far from whole numbers of samples the steps of exact stamps lie.
 const EXACT: f64 = 0.2;
@@ -24,13 +28,17 @@ const ROUGH_GAP_S: f64 = 0.05;
 const FUTURE_S: f64 = 0.05;
 /// A leap of the stamps beyond the time that has passed here, s, is one of the sender's clock and no loss.
 const CLOCK_LEAP_S: f64 = 0.5;
+/// So long, stamps that contradict those before agree with one another until they are believed, s.
+const SETTLED_S: f64 = 0.2;
+/// Where stamps jitter, samples that come so much later than before and stay so were preceded by lost ones, ns.
+const LATE_NS: u64 = 20_000_000;
 
 /// What was odd about time stamps, counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Oddities {
     /// Stamps that were that of the sample before.
     pub repeated: u64,
-    /// Stamps before that of the sample before.
+    /// Stamps before that of the sample before, by more than chunks overlap that are stamped when they are sent.
     pub backwards: u64,
     /// Leaps of the sender's clock.
     pub leaps: u64,
@@ -57,16 +65,29 @@ pub struct Timeline {
     last: Option<Last>,
     /// Steps since the last one that was not exact. Stamps count as exact until they show that they are not.
     exact_steps: f64,
+    /// Samples in a row whose stamps contradict those before and agree with one another.
+    contradicting: f64,
     clock: DeviceClock,
+    loss: LossByTime,
+    /// How long before its arrival the newest sample was stamped, s.
+    stamp_age_s: f64,
     oddities: Oddities,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Last {
     stamp_s: f64,
-    /// On our clock.
-    corrected_s: f64,
+    /// What its stamp should be: the stamp itself, unless it contradicts those before.
+    credible_s: f64,
+    correction_s: f64,
     received_ns: u64,
+}
+
+impl Last {
+    /// When it was captured by our clock, as far as it is known, s.
+    fn credible_here_s(&self) -> f64 {
+        self.credible_s + self.correction_s
+    }
 }
 
 /// When a frame came, and how its stamps are understood.
@@ -88,7 +109,10 @@ impl Timeline {
             next_sample: 0,
             last: None,
             exact_steps: EXACT_AFTER_S * sample_rate_hz,
+            contradicting: 0.0,
             clock: DeviceClock::default(),
+            loss: LossByTime::new(LATE_NS),
+            stamp_age_s: 0.0,
             oddities: Oddities::default(),
         }
     }
@@ -101,7 +125,7 @@ impl Timeline {
         let mut begin = 0;
         let mut first_sample = self.next_sample;
         for (index, &stamp_s) in stamps.iter().enumerate() {
-            let lost = self.lost_before(stamp_s, arrival.received_ns);
+            let lost = self.take_stamp(stamp_s, arrival);
             if lost > 0 {
                 if index > begin {
                     on_run(self.run(begin..index, first_sample, arrival));
@@ -110,9 +134,6 @@ impl Timeline {
                 (begin, first_sample) = (index, self.next_sample);
             }
             self.next_sample += 1;
-            let stamp_s = if stamp_s.is_finite() { stamp_s } else { self.expected_s(arrival) };
-            let corrected_s = stamp_s + arrival.correction_s;
-            self.last = Some(Last { stamp_s, corrected_s, received_ns: arrival.received_ns });
         }
         if !stamps.is_empty() {
             on_run(self.run(begin..stamps.len(), first_sample, arrival));
@@ -124,6 +145,11 @@ impl Timeline {
         self.oddities
     }
 
+    /// How long before its arrival the newest sample was stamped, s.
+    pub fn stamp_age_s(&self) -> f64 {
+        self.stamp_age_s
+    }
+
     /// How much faster than CLOCK_MONOTONIC the amplifier counts its samples, ppm.
     pub fn drift_ppm(&self) -> Option<f64> {
         self.clock.drift_ppm()
@@ -133,60 +159,122 @@ impl Timeline {
     fn reconnect(&mut self, stamps: &[f64], arrival: Arrival) {
         if let (Some(last), Some(first)) = (self.last, stamps.first()) {
             let here_s = arrival.received_ns.saturating_sub(last.received_ns) as f64 * 1e-9;
-            let away_s = first + arrival.correction_s - last.corrected_s;
+            let away_s = first + arrival.correction_s - last.credible_here_s();
             let is_possible = (0.0..=here_s + CLOCK_LEAP_S).contains(&away_s);
             let samples = (if is_possible { away_s } else { here_s }) * self.sample_rate_hz;
             self.next_sample += (samples.round() as u64).saturating_sub(1);
         }
         self.last = None;
         self.exact_steps = EXACT_AFTER_S * self.sample_rate_hz;
+        self.begin_clock();
+    }
+
+    fn begin_clock(&mut self) {
+        self.contradicting = 0.0;
         self.clock = DeviceClock::default();
+        self.loss = LossByTime::new(LATE_NS);
     }
 
-    fn expected_s(&self, arrival: Arrival) -> f64 {
-        let last_s = self.last.map_or(arrival.received_ns as f64 * 1e-9, |last| last.stamp_s);
-        last_s + 1.0 / self.sample_rate_hz
-    }
-
-    /// How many samples are missing before the one with this stamp.
-    fn lost_before(&mut self, stamp_s: f64, received_ns: u64) -> u64 {
-        let Some(last) = self.last else { return 0 };
-        if !stamp_s.is_finite() {
-            self.oddities.impossible += 1;
+    /// Takes the stamp of the next sample, and says how many samples are missing before it.
+    fn take_stamp(&mut self, stamp_s: f64, arrival: Arrival) -> u64 {
+        let Arrival { correction_s, received_ns, .. } = arrival;
+        let period_s = 1.0 / self.sample_rate_hz;
+        self.oddities.impossible += u64::from(!stamp_s.is_finite());
+        let Some(last) = self.last else {
+            let now_s = received_ns as f64 * 1e-9 - correction_s;
+            let stamp_s = if stamp_s.is_finite() { stamp_s } else { now_s };
+            self.last = Some(Last { stamp_s, credible_s: stamp_s, correction_s, received_ns });
             return 0;
+        };
+        let mut next = Last {
+            stamp_s: if stamp_s.is_finite() { stamp_s } else { last.stamp_s + period_s },
+            credible_s: last.credible_s + period_s,
+            correction_s,
+            received_ns,
+        };
+        let mut lost = 0;
+        if stamp_s.is_finite() {
+            let longest_s = longest_step_s(&last, received_ns);
+            let step_s = stamp_s - last.stamp_s;
+            let was_exact = self.is_exact();
+            self.count_oddities(step_s, longest_s);
+            let is_whole = self.is_whole(step_s);
+            self.exact_steps = if is_whole { self.exact_steps + 1.0 } else { 0.0 };
+            let away_s = stamp_s - last.credible_s;
+            if (-ROUGH_GAP_S..=longest_s).contains(&away_s) {
+                self.contradicting = 0.0;
+                next.credible_s = stamp_s;
+                if (was_exact && self.is_whole(away_s)) || away_s > ROUGH_GAP_S {
+                    lost = ((away_s * self.sample_rate_hz).round() as u64).saturating_sub(1);
+                }
+            } else {
+                let agrees = step_s.abs() <= ROUGH_GAP_S;
+                self.contradicting = if agrees { self.contradicting + 1.0 } else { 1.0 };
+                if self.contradicting >= SETTLED_S * self.sample_rate_hz {
+                    next.credible_s = stamp_s;
+                    self.begin_clock();
+                }
+            }
         }
-        let step_s = stamp_s - last.stamp_s;
-        let step = step_s * self.sample_rate_hz;
-        let is_whole = (step - step.round()).abs() <= EXACT && step.round() >= 1.0;
-        let was_exact = self.exact_steps >= EXACT_AFTER_S * self.sample_rate_hz;
-        self.exact_steps = if is_whole { self.exact_steps + 1.0 } else { 0.0 };
-        let here_s = received_ns.saturating_sub(last.received_ns) as f64 * 1e-9;
+        self.last = Some(next);
+        lost
+    }
+
+    fn count_oddities(&mut self, step_s: f64, longest_s: f64) {
+        // Chunks that are stamped when they are sent overlap by less than their length.
+        let chunk_s = if self.is_exact() { 0.0 } else { self.exact_steps / self.sample_rate_hz };
         if step_s == 0.0 {
             self.oddities.repeated += 1;
-        } else if step_s < -0.5 / self.sample_rate_hz {
+        } else if step_s < -0.5 / self.sample_rate_hz - chunk_s {
             self.oddities.backwards += 1;
-        } else if step_s > here_s + CLOCK_LEAP_S {
+        } else if step_s > longest_s {
             self.oddities.leaps += 1;
-        } else if (was_exact && is_whole) || step_s > ROUGH_GAP_S {
-            return (step.round() as u64).saturating_sub(1);
         }
-        0
+    }
+
+    /// Whether stamps have been exact for so long that they count as counted.
+    fn is_exact(&self) -> bool {
+        self.exact_steps >= EXACT_AFTER_S * self.sample_rate_hz
+    }
+
+    /// Whether a step is a whole number of samples.
+    fn is_whole(&self, step_s: f64) -> bool {
+        let step = step_s * self.sample_rate_hz;
+        (step - step.round()).abs() <= EXACT && step.round() >= 1.0
     }
 
     /// A part of a frame whose newest sample is the last one that was numbered.
     fn run(&mut self, samples: Range<usize>, first_sample: u64, arrival: Arrival) -> Run {
-        let corrected_s = self.last.map_or(0.0, |last| last.corrected_s);
-        let received_s = arrival.received_ns as f64 * 1e-9;
-        let is_possible = corrected_s >= 0.0 && corrected_s <= received_s + FUTURE_S;
-        self.oddities.impossible += u64::from(!is_possible);
-        let stamp_ns = if is_possible { (corrected_s * 1e9) as u64 } else { arrival.received_ns };
+        let stamp_s = self.last.map_or(0.0, |last| last.stamp_s + last.correction_s);
+        self.stamp_age_s = arrival.received_ns as f64 * 1e-9 - stamp_s;
+        let is_future = self.stamp_age_s < -FUTURE_S;
+        self.oddities.impossible += u64::from(is_future);
+        // Of a stamp in the future, only the arrival is known. One before our clock began is as old as can be.
+        let stamp_ns = if is_future { arrival.received_ns } else { (stamp_s.max(0.0) * 1e9) as u64 };
         let stamp_ns = stamp_ns.min(arrival.received_ns);
         let counted_s = (first_sample + samples.len() as u64) as f64 / self.sample_rate_hz;
-        let smooth_ns = self.clock.captured_ns((counted_s * 1e9) as u64, stamp_ns);
-        let is_exact = self.exact_steps >= EXACT_AFTER_S * self.sample_rate_hz;
-        let captured_ns = if is_exact { stamp_ns } else { smooth_ns };
+        let counted_ns = (counted_s * 1e9) as u64;
+        let captured_ns = if self.contradicting > 0.0 {
+            self.clock.predicted_ns(counted_ns).map_or(stamp_ns, |predicted_ns| predicted_ns.min(stamp_ns))
+        } else {
+            let smooth_ns = self.clock.captured_ns(counted_ns, stamp_ns);
+            if self.is_exact() && !is_future {
+                stamp_ns
+            } else {
+                let lost_ns = self.loss.observe(arrival.received_ns, stamp_ns - smooth_ns);
+                self.next_sample += (lost_ns as f64 * 1e-9 * self.sample_rate_hz).round() as u64;
+                smooth_ns
+            }
+        };
         Run { samples, first_sample, captured_ns }
     }
+}
+
+/// The longest step from the last sample that can be a loss, s: beyond it, the sender's clock has leapt.
+fn longest_step_s(last: &Last, received_ns: u64) -> f64 {
+    let here_s = received_ns.saturating_sub(last.received_ns) as f64 * 1e-9;
+    let late_s = last.received_ns as f64 * 1e-9 - last.credible_here_s();
+    here_s + late_s.clamp(0.0, CLOCK_LEAP_S) + FUTURE_S
 }
 
 #[cfg(test)]
@@ -320,6 +408,156 @@ mod tests {
                 }
                 received_ns += 20_000_000;
             }
+        }
+    }
+
+    /// Places a chunk, and gives when its newest sample was captured.
+    fn place_one(timeline: &mut Timeline, stamps: &[f64], received_ns: u64) -> Run {
+        let arrival = Arrival { is_new_connection: false, correction_s: CORRECTION_S, received_ns };
+        let mut runs = Vec::new();
+        timeline.place(stamps, arrival, |run| runs.push(run));
+        runs.pop().unwrap()
+    }
+
+    /// When the newest sample of a chunk of [`counted`] stamps is captured, ns.
+    fn true_ns(chunk: u64) -> u64 {
+        100_000_000_000 + (chunk * 20 + 19) * 500_000
+    }
+
+    /// A chunk of stamps of the moment of sending: chunks overlap by up to 3 ms.
+    fn jittering(chunk: u64) -> Vec<f64> {
+        let late_s = (chunk * 7 % 4) as f64 * 1e-3;
+        counted(chunk * 20..chunk * 20 + 20).iter().map(|stamp| stamp + late_s).collect()
+    }
+
+    #[test]
+    fn one_chunk_with_odd_stamps_changes_nothing_for_those_after_it() {
+        for chunk_of in [jittering, |chunk| counted(chunk * 20..chunk * 20 + 20)] {
+            for offset_s in [-1000.0, -5.0, -1.5, -0.3, -0.15, 0.3, 5.0, 1e12, -1e12] {
+                let (mut timeline, mut ahead) = (Timeline::new(RATE_HZ), 0);
+                for chunk in 0..2000 {
+                    let mut stamps = chunk_of(chunk);
+                    if chunk == 500 {
+                        stamps.iter_mut().for_each(|stamp| *stamp += offset_s);
+                    }
+                    // Stamps of sending lie up to 3 ms after the capture.
+                    let received_ns = true_ns(chunk) + 4_000_000;
+                    let run = place_one(&mut timeline, &stamps, received_ns);
+                    if chunk < 10 {
+                        // The first chunks may be taken for exact ones.
+                        ahead = run.first_sample - chunk * 20;
+                    }
+                    assert_eq!(run.first_sample - ahead, chunk * 20, "{offset_s} s: chunk {chunk}");
+                    assert!(run.captured_ns <= received_ns, "{offset_s} s");
+                    if chunk != 500 {
+                        let age_ns = received_ns - run.captured_ns;
+                        assert!(age_ns < 10_000_000, "{offset_s} s: chunk {chunk} is {age_ns} ns old");
+                    }
+                }
+                assert!(
+                    timeline.drift_ppm().unwrap().abs() < 100.0,
+                    "{offset_s} s: {:?}",
+                    timeline.drift_ppm()
+                );
+                // What is really late is found so.
+                let late_ns = true_ns(2000) + 200_000_000;
+                assert!(
+                    late_ns - place_one(&mut timeline, &chunk_of(2000), late_ns).captured_ns > 150_000_000
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_clock_that_leaps_for_good_is_measured_anew() {
+        for leap_s in [-3600.0, -5.0, 3600.0] {
+            let (mut timeline, mut ahead) = (Timeline::new(RATE_HZ), 0);
+            let leapt = |chunk: u64| -> Vec<f64> {
+                let leap_s = if chunk < 500 { 0.0 } else { leap_s };
+                jittering(chunk).iter().map(|stamp| stamp + leap_s).collect()
+            };
+            for chunk in 0..1000 {
+                let received_ns = true_ns(chunk) + 4_000_000;
+                let run = place_one(&mut timeline, &leapt(chunk), received_ns);
+                if chunk < 10 {
+                    ahead = run.first_sample - chunk * 20;
+                }
+                assert_eq!(run.first_sample - ahead, chunk * 20, "{leap_s} s: chunk {chunk}");
+                let age_s = (received_ns - run.captured_ns) as f64 * 1e-9;
+                let expected_s = if chunk < 500 { 0.0 } else { f64::max(0.0, -leap_s).min(104.0) };
+                assert!(chunk < 500 || (timeline.stamp_age_s() + leap_s).abs() < 0.01);
+                assert!((age_s - expected_s).abs() < 10.0, "{leap_s} s: chunk {chunk} is {age_s} s old");
+                assert!((age_s > 0.1) == (expected_s > 0.1), "{leap_s} s: chunk {chunk} is {age_s} s old");
+            }
+        }
+    }
+
+    #[test]
+    fn chunks_that_overlap_because_they_are_stamped_when_sent_are_not_odd() {
+        let mut timeline = Timeline::new(RATE_HZ);
+        // Stamps of the first second count as exact until they show that they are not.
+        place(&mut timeline, &(0..5).map(jittering).collect::<Vec<_>>());
+        let before = timeline.oddities();
+        place(&mut timeline, &(5..1000).map(jittering).collect::<Vec<_>>());
+        assert_eq!(timeline.oddities(), before);
+    }
+
+    #[test]
+    fn many_short_gaps_between_jittering_chunks_are_counted_and_do_not_add_up_to_lateness() {
+        let mut timeline = Timeline::new(RATE_HZ);
+        let mut gap_s = 0.0;
+        for chunk in 0..3000 {
+            gap_s += if chunk % 300 == 299 { 0.04 } else { 0.0 };
+            let stamps: Vec<f64> = jittering(chunk).iter().map(|stamp| stamp + gap_s).collect();
+            let received_ns = true_ns(chunk) + (gap_s * 1e9) as u64 + 4_000_000;
+            let run = place_one(&mut timeline, &stamps, received_ns);
+            assert!(received_ns - run.captured_ns < 100_000_000, "chunk {chunk}");
+        }
+        let lost = timeline.next_sample - 60_000;
+        assert!(lost.abs_diff(10 * 80) < 120, "{lost}");
+    }
+
+    /// Any number, the odd ones often.
+    fn any_stamp() -> impl Strategy<Value = f64> {
+        prop_oneof![
+            any::<f64>(),
+            Just(f64::NAN),
+            Just(f64::INFINITY),
+            Just(f64::NEG_INFINITY),
+            Just(-1.0),
+            Just(0.0),
+            5000.0..5200.0_f64,
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn after_any_stamps_at_all_true_ones_give_true_times(
+            odd in prop::collection::vec(prop::collection::vec(any_stamp(), 1..20), 1..30),
+            is_jittering in any::<bool>(),
+            // Stamps of sending lie up to 3 ms after the capture.
+            late_ms in 105..2000_u64,
+        ) {
+            let mut timeline = Timeline::new(RATE_HZ);
+            for (chunk, stamps) in (0..).zip(&odd) {
+                let received_ns = true_ns(chunk) + 1_000_000;
+                prop_assert!(place_one(&mut timeline, stamps, received_ns).captured_ns <= received_ns);
+            }
+            let first = odd.len() as u64;
+            let chunk_of = |chunk: u64| match is_jittering {
+                true => jittering(chunk),
+                false => counted(chunk * 20..chunk * 20 + 20),
+            };
+            for chunk in first..first + 400 {
+                let received_ns = true_ns(chunk) + 4_000_000;
+                let run = place_one(&mut timeline, &chunk_of(chunk), received_ns);
+                prop_assert!(run.captured_ns <= received_ns);
+                prop_assert!(chunk < first + 300 || received_ns - run.captured_ns < 30_000_000);
+            }
+            let chunk = first + 400;
+            let late_ns = true_ns(chunk) + late_ms * 1_000_000;
+            let captured_ns = place_one(&mut timeline, &chunk_of(chunk), late_ns).captured_ns;
+            prop_assert!(late_ns - captured_ns > 100_000_000);
         }
     }
 }

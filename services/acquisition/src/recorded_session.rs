@@ -29,6 +29,7 @@ pub struct RecordedSession {
     start_ns: u64,
     duration_s: f64,
     is_whole: bool,
+    damaged_pieces: u64,
     /// What its source said that it measures.
     signal: Option<SignalDescription>,
 }
@@ -62,14 +63,19 @@ impl RecordedSession {
             start_ns: 0,
             duration_s: last_ns.saturating_sub(first_ns) as f64 / 1e9,
             is_whole: reader.is_whole(),
+            damaged_pieces: reader.damaged_pieces(),
             signal,
         })
     }
 
     /// What to tell the user.
     pub fn description(&self) -> String {
+        let damaged = match self.damaged_pieces {
+            0 => String::new(),
+            pieces => format!(", damaged, {pieces} of its pieces left out"),
+        };
         let cut = if self.is_whole { "" } else { ", cut before its end" };
-        format!("recorded session {}, {:.1} s{cut}", self.path.display(), self.duration_s)
+        format!("recorded session {}, {:.1} s{damaged}{cut}", self.path.display(), self.duration_s)
     }
 
     /// What the source of the recorded session said that it measures.

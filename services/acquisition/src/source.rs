@@ -40,7 +40,7 @@ pub fn open(config: &Config) -> anyhow::Result<Opened> {
         Delivery::Lossless => Pace::Full,
     };
     let samples = settings.block_samples;
-    let mut signal = None;
+    let signal;
     let (source, description): (Box<dyn Source>, String) = match settings.source {
         SourceKind::Simulate => {
             let (person, description, measured) = SimulatedPerson::open(config)?;
@@ -54,7 +54,8 @@ pub fn open(config: &Config) -> anyhow::Result<Opened> {
             (Box::new(session), description)
         }
         SourceKind::Replay => {
-            let (recording, description) = Recording::open(config)?;
+            let (recording, description, measured) = Recording::open(config)?;
+            signal = Some(measured);
             (Box::new(Paced::new(recording, pace, samples)), description)
         }
         amplifier => bail!(
@@ -132,7 +133,7 @@ struct Recording {
 }
 
 impl Recording {
-    fn open(config: &Config) -> anyhow::Result<(Recording, String)> {
+    fn open(config: &Config) -> anyhow::Result<(Recording, String, SignalDescription)> {
         let settings = &config.acquisition;
         let (summary, stream) = settings.open_recording()?;
         let path = settings.replay.path.as_deref().unwrap_or(Path::new(""));
@@ -150,7 +151,8 @@ impl Recording {
             if summary.unit.is_empty() { String::new() } else { format!(", in {}", summary.unit) }
         );
         let gestures = config.decision.gestures.clone();
-        Ok((Recording { stream, next_sample: 0, gestures }, description))
+        let signal = SignalDescription { channels: summary.channels, unit: summary.unit };
+        Ok((Recording { stream, next_sample: 0, gestures }, description, signal))
     }
 }
 

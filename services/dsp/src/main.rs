@@ -1,20 +1,21 @@
 //! The dsp process: blocks in, filtered windows out. The work itself is `tendon_signal::SignalChain`.
 
 mod electrodes;
+mod recorded;
 
 use std::process::ExitCode;
 
 use anyhow::ensure;
-use tendon_config::{Config, Source};
+use tendon_config::Config;
 use tendon_messages::{
     Activity, BLOCKS, BlockHeader, Measured, Stage, Truth, WINDOWS, WindowContext, WindowHeader,
 };
 use tendon_process::{Consumer, StageProcess};
-use tendon_session_file::{Head, ReplayMarks, is_session_file};
 use tendon_signal::{DesignError, SignalChain};
 use tendon_transport::{Publisher, Received, Subscriber};
 
 use electrodes::Electrodes;
+use recorded::RecordedWindows;
 
 fn main() -> ExitCode {
     tendon_process::main(Stage::Dsp, |process| {
@@ -36,7 +37,7 @@ fn main() -> ExitCode {
                 sample_rate_hz: acquisition.sample_rate_hz,
                 window_samples: config.dsp.windows.window_samples,
                 truth_before: Truth::default(),
-                marks: replay_marks(config)?,
+                recorded: RecordedWindows::of(config)?,
             },
             next_sample: None,
             calibrated: false,
@@ -57,28 +58,6 @@ fn chain(config: &Config) -> Result<SignalChain, DesignError> {
     SignalChain::new(&config.dsp, acquisition.channels, acquisition.sample_rate_hz)
 }
 
-/// What the replay of a recorded session repeats beside its samples; `None` for any other source, and where the windows are
-/// not those of the recording.
-fn replay_marks(config: &Config) -> anyhow::Result<Option<ReplayMarks>> {
-    let replayed = config
-        .acquisition
-        .replay
-        .path
-        .as_deref()
-        .filter(|path| config.acquisition.source == Source::Replay && is_session_file(path));
-    let Some(path) = replayed else { return Ok(None) };
-    let recorded = Config::parse(&Head::read(path)?.configuration, path)?;
-    if recorded.dsp.windows != config.dsp.windows {
-        tracing::warn!(
-            "{}: recorded with other windows (dsp.windows), so what stages left out then, and where they began anew, is not \
-             repeated",
-            path.display()
-        );
-        return Ok(None);
-    }
-    Ok(Some(ReplayMarks::read(path)?))
-}
-
 struct Dsp {
     chain: SignalChain,
     output: Output,
@@ -97,7 +76,7 @@ struct Output {
     /// The truth at the end of the block before.
     truth_before: Truth,
     /// In the replay of a recorded session.
-    marks: Option<ReplayMarks>,
+    recorded: Option<RecordedWindows>,
 }
 
 impl Consumer<BlockHeader, f32> for Dsp {
@@ -126,19 +105,23 @@ impl Consumer<BlockHeader, f32> for Dsp {
             samples,
             block.payload().len()
         );
-        let marks = self.output.marks.as_mut();
-        if marks.is_some_and(|marks| marks.begins_anew(header.first_sample)) {
+        let recorded = self.output.recorded.as_mut();
+        if recorded.is_some_and(|recorded| recorded.begins_anew(header.first_sample)) {
             self.chain = chain(&process.config)?;
             (self.next_sample, self.output.truth_before, self.calibrated) = (None, Truth::default(), false);
         }
-        let marks = self.output.marks.as_ref();
-        if marks.is_some_and(|marks| marks.is_before_first_window(header.first_sample)) {
+        let recorded = self.output.recorded.as_ref();
+        if recorded.is_some_and(|recorded| recorded.is_before_first_window(header.first_sample)) {
             return Ok(process.measure(&block.trace(), None));
         }
         // Lost on the way or skipped by the source; a source that began anew misses nothing but is no
         // continuation either.
         if let Some(expected) = self.next_sample.filter(|expected| *expected != header.first_sample) {
             self.chain.gap(header.first_sample.saturating_sub(expected));
+        }
+        if let Some(recorded) = &mut self.output.recorded {
+            let follows = self.next_sample == Some(header.first_sample);
+            recorded.align(&mut self.chain, header.first_sample, samples, follows);
         }
         self.next_sample = Some(header.first_sample + samples as u64);
 
@@ -179,9 +162,9 @@ impl Output {
         }
         let newest_sample = header.first_sample + end as u64 - 1;
         let first_sample = newest_sample + 1 - self.window_samples as u64;
-        let replay_marks = match &self.marks {
+        let replay_marks = match &self.recorded {
             None => 0,
-            Some(marks) => match marks.window(first_sample) {
+            Some(recorded) => match recorded.marks(first_sample) {
                 Some(marks) => marks,
                 None => return Ok(None),
             },
@@ -201,7 +184,7 @@ impl Output {
             calibration_left_ms: (duration_ns(chain.calibration_left_samples()) / 1_000_000) as u32,
             activity: activity.number(),
             replay_marks,
-            ordered_mode: self.marks.as_ref().map_or(0, |marks| marks.ordered_mode(first_sample)),
+            ordered_mode: self.recorded.as_ref().map_or(0, |recorded| recorded.ordered_mode(first_sample)),
         };
         let window_header = WindowHeader {
             trace,

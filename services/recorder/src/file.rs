@@ -49,6 +49,14 @@ impl RecordingFile {
                 }
             }
         };
+        let file = RecordingFile::create_in(&own, session);
+        if file.is_err() {
+            remove_empty(&own);
+        }
+        file
+    }
+
+    fn create_in(own: &Path, session: &SessionName) -> anyhow::Result<RecordingFile> {
         let path = std::path::absolute(own.join(FILE_NAME)).context("cannot tell the current folder")?;
         let file = OpenOptions::new()
             .write(true)
@@ -60,6 +68,11 @@ impl RecordingFile {
         let writer = Writer::begin(BufWriter::new(file), &session.to_string(), now_ns())
             .with_context(|| format!("cannot write {}", path.display()))?;
         Ok(RecordingFile { path, identity: (metadata.dev(), metadata.ino()), writer })
+    }
+
+    /// Removes the file and its folder: nothing was recorded.
+    pub fn discard(self) {
+        self.path.parent().into_iter().for_each(remove_empty);
     }
 
     /// Where it is.
@@ -115,6 +128,12 @@ impl RecordingFile {
     }
 }
 
+/// Removes the folder of a recording that could not begin. What cannot be removed stays; why it could not begin is what to tell.
+fn remove_empty(own: &Path) {
+    let _ = std::fs::remove_file(own.join(FILE_NAME));
+    let _ = std::fs::remove_dir(own);
+}
+
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
@@ -151,6 +170,13 @@ mod tests {
         file.flush().unwrap();
         std::fs::remove_file(file.path()).unwrap();
         assert!(file.flush().unwrap_err().to_string().contains("was deleted or moved"));
+        let kept = std::fs::read_dir(folder.path()).unwrap().count();
+        RecordingFile::create(folder.path(), &session).unwrap().discard();
+        assert_eq!(
+            std::fs::read_dir(folder.path()).unwrap().count(),
+            kept,
+            "one that could not begin leaves nothing"
+        );
         let blocked = folder.path().join("file");
         std::fs::write(&blocked, "").unwrap();
         let error = RecordingFile::create(&blocked.join("sessions"), &session).unwrap_err();

@@ -128,8 +128,13 @@ fn begin_file(
     start: &RecordingStart,
 ) -> anyhow::Result<RecordingFile> {
     let mut file = RecordingFile::create(&arguments.folder, &config.session)?;
-    file.begin(configuration, start)?;
-    Ok(file)
+    match file.begin(configuration, start) {
+        Ok(()) => Ok(file),
+        Err(error) => {
+            file.discard();
+            Err(error)
+        }
+    }
 }
 
 struct Recorder {

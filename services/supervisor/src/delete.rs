@@ -22,6 +22,9 @@ use crate::output::{counted, print, tell};
 
 use find::{Found, Kept};
 
+/// Files and folders that could not be looked at which are named.
+const UNKNOWN_SHOWN: usize = 20;
+
 /// Command line of `tendon delete`.
 #[derive(Debug, Args)]
 pub struct Options {
@@ -70,11 +73,13 @@ pub fn delete(options: &Options) -> Result<(), Failure> {
     print(format!("deleted {}", counted(found.kept.len(), "place", "places"))).map_err(Failure::running)
 }
 
-/// A session that runs would go on writing.
+/// A session or an export that runs would go on writing.
 fn refuse_running_session(name: &PersonName) -> anyhow::Result<()> {
     match user_of_person(name) {
         None => Ok(()),
-        Some(process) => Err(anyhow!("a session of {name} runs (process {process}): end it first")),
+        Some(process) => {
+            Err(anyhow!("a session or an export of {name} runs (process {process}): end it first"))
+        }
     }
 }
 
@@ -83,13 +88,13 @@ fn look_for(people: &People, name: &PersonName, folders: &[PathBuf]) -> anyhow::
     found.take_person(&people.folder_of(name))?;
     let sessions = data_folder()?.path().join("sessions");
     if sessions.is_dir() {
-        found.search(&sessions, name)?;
+        found.search(&sessions, name);
     }
     for folder in folders {
         ensure!(folder.is_dir(), "{}: there is no such folder", folder.display());
         // Without links and dots, so that nothing is found twice.
         let folder = folder.canonicalize().with_context(|| format!("cannot open {}", folder.display()))?;
-        found.search(&folder, name)?;
+        found.search(&folder, name);
     }
     Ok(found)
 }
@@ -107,13 +112,24 @@ fn list(name: &PersonName, found: &Found) -> String {
 /// What is not deleted.
 fn left(found: &Found) -> String {
     let line = |(path, what): &(PathBuf, String)| format!("\n  {}: {what}", path.display());
+    let unknown = match found.unknown.as_slice() {
+        [] => String::new(),
+        unknown => {
+            let shown: String = unknown.iter().take(UNKNOWN_SHOWN).map(line).collect();
+            let more = match unknown.len().saturating_sub(UNKNOWN_SHOWN) {
+                0 => String::new(),
+                more => format!("\n  and {more} more"),
+            };
+            format!("\nmay be of this person, too: look yourself:{shown}{more}")
+        }
+    };
     let known = if found.left.is_empty() {
         String::new()
     } else {
         "\nstays, as it is of other people, too:".to_owned()
             + &found.left.iter().map(line).collect::<String>()
     };
-    known + "\nCopies, and what lies in folders that --in does not name, are not known."
+    known + &unknown + "\nCopies, and what lies in folders that --in does not name, are not known."
 }
 
 fn places(folders: &[PathBuf]) -> String {

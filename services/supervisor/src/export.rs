@@ -3,19 +3,23 @@
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::{ArgGroup, Args};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
 use tendon_export::{
-    BidsFacts, ExportError, Staging, Survey, check_replaceable, is_exported_xdf, write_bids, write_tables,
-    write_xdf,
+    BidsFacts, ExportError, Survey, check_tables, is_exported_xdf, write_bids, write_tables, write_xdf,
 };
 use tendon_output::OutputFile;
-use tendon_session_file::FILE_NAME;
+use tendon_people::PersonInUse;
 
 use crate::Failure;
 use crate::output::{counted, print, tell};
 use crate::progress::Progress;
+use crate::recorded::file_of;
 
 /// Command line of `tendon export`.
 #[derive(Debug, Args)]
@@ -64,7 +68,7 @@ fn mains(text: &str) -> Result<f64, String> {
 pub fn export(options: &Options) -> Result<(), Failure> {
     let path = file_of(&options.session);
     if let Some(folder) = &options.csv {
-        check_tables(folder, options.force)?;
+        check_tables(folder, options.force).map_err(Failure::input)?;
     }
     let xdf = options.xdf.as_deref().map(|file| check_file(file, options.force)).transpose()?;
     // The one that tells what is there, that of the tables, two of BIDS, that of XDF.
@@ -72,12 +76,14 @@ pub fn export(options: &Options) -> Result<(), Failure> {
         + usize::from(options.csv.is_some())
         + 2 * usize::from(options.bids.is_some())
         + usize::from(xdf.is_some());
-    let mut reading = Reading::of(&path, passes);
+    let mut reading = Reading::of(&path, passes).map_err(Failure::running)?;
     let survey = Survey::read(&path, |bytes| reading.show(bytes)).map_err(failure)?;
     reading.passed(1);
+    // What is exported now would outlive its deletion.
+    let in_use = survey.person.as_ref().map(PersonInUse::claim).transpose().map_err(Failure::running)?;
     let mut written = vec![summary(&survey)];
     if let Some(folder) = &options.csv {
-        write_tables(&survey, folder, |bytes| reading.show(bytes)).map_err(failure)?;
+        write_tables(&survey, folder, options.force, |bytes| reading.show(bytes)).map_err(failure)?;
         reading.passed(1);
         written.push(format!("tables in {}", folder.display()));
     }
@@ -98,15 +104,34 @@ pub fn export(options: &Options) -> Result<(), Failure> {
             .map_err(Failure::running)?;
         written.push(file.path().display().to_string());
     }
-    drop(reading);
-    if !survey.is_whole {
+    drop((reading, in_use));
+    tell_what_is_missing(&survey);
+    print(written.join("\n  ")).map_err(Failure::running)
+}
+
+/// Says what the file of the session lacks.
+fn tell_what_is_missing(survey: &Survey) {
+    let path = survey.path.display();
+    if survey.damaged_pieces > 0 {
         tell(format_args!(
-            "{}: the recording was cut, as when the recorder is killed: what came after {:.1} s is not in it",
-            path.display(),
+            "{path}: the file is damaged: {} left out; if there is another copy of it, export that one",
+            match survey.damaged_pieces {
+                1 => "1 piece of it is".to_owned(),
+                pieces => format!("{pieces} pieces of it are"),
+            }
+        ));
+    }
+    if !survey.is_whole {
+        let why = if survey.damaged_pieces > 0 {
+            "cannot be read to its end"
+        } else {
+            "was cut, as when the recorder is killed"
+        };
+        tell(format_args!(
+            "{path}: the recording {why}: what came after {:.1} s is not in it",
             survey.duration_s
         ));
     }
-    print(written.join("\n  ")).map_err(Failure::running)
 }
 
 /// A file for this user alone. One that is there already is refused without `force`, and with it unless it is an export.
@@ -142,25 +167,9 @@ fn summary(survey: &Survey) -> String {
     )
 }
 
-/// The file of the session that was named by it or by its folder.
-fn file_of(session: &Path) -> PathBuf {
-    if session.is_dir() { session.join(FILE_NAME) } else { session.to_owned() }
-}
-
-/// Refuses a folder with anything in it, or, with `force`, with anything but an earlier export.
-fn check_tables(folder: &Path, force: bool) -> Result<(), Failure> {
-    if !Staging::is_occupied(folder).map_err(Failure::input)? {
-        return Ok(());
-    }
-    if !force {
-        return Err(Failure::input(ExportError::NotEmpty { path: folder.to_owned() }));
-    }
-    check_replaceable(folder).map_err(Failure::input)
-}
-
 fn failure(error: ExportError) -> Failure {
     match error {
-        ExportError::Write { .. } => Failure::running(error),
+        ExportError::Write { .. } | ExportError::Interrupted => Failure::running(error),
         _ => Failure::input(error),
     }
 }
@@ -170,17 +179,27 @@ struct Reading {
     progress: Progress,
     bytes_of_a_pass: u64,
     bytes_before: u64,
+    /// Set by the first signal to end; the second one ends the process at once.
+    is_interrupted: Arc<AtomicBool>,
 }
 
 impl Reading {
-    fn of(path: &Path, passes: usize) -> Reading {
+    fn of(path: &Path, passes: usize) -> anyhow::Result<Reading> {
+        let is_interrupted = Arc::new(AtomicBool::new(false));
+        for signal in [SIGINT, SIGTERM] {
+            flag::register_conditional_default(signal, is_interrupted.clone())
+                .and_then(|_| flag::register(signal, is_interrupted.clone()))
+                .context("cannot handle signals")?;
+        }
         let bytes_of_a_pass = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
         let progress = Progress::of(megabytes(bytes_of_a_pass) * passes, "MB");
-        Reading { progress, bytes_of_a_pass, bytes_before: 0 }
+        Ok(Reading { progress, bytes_of_a_pass, bytes_before: 0, is_interrupted })
     }
 
-    fn show(&mut self, bytes: u64) {
+    /// Shows that so many bytes of this pass were read, and ends the export after a signal.
+    fn show(&mut self, bytes: u64) -> Result<(), ExportError> {
         self.progress.show(megabytes(self.bytes_before + bytes), String::new);
+        if self.is_interrupted.load(Ordering::Relaxed) { Err(ExportError::Interrupted) } else { Ok(()) }
     }
 
     fn passed(&mut self, passes: u64) {

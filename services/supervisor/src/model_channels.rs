@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use tendon_classifier::{Contract, ModelFiles, contract_of};
-use tendon_config::{Config, Source};
+use tendon_config::{AcquisitionSettings, Config, Source};
 use tendon_gesture::Strategy;
 use tendon_recordings::{Channel, RecordingSource};
 use tendon_session_file::is_session_file;
@@ -77,7 +77,7 @@ pub fn choose(config: &mut Config) {
         return;
     }
     let acquisition = &mut config.acquisition;
-    if is_replayed_table(acquisition.source, acquisition.replay.path.as_deref()) {
+    if is_replayed_table(acquisition) {
         acquisition.replay.channels.get_or_insert(channels);
     } else {
         let names: Vec<String> = channels.iter().map(Channel::name).collect();
@@ -93,7 +93,7 @@ pub fn choose(config: &mut Config) {
 pub fn check_recording(config: &Config) -> anyhow::Result<()> {
     let acquisition = &config.acquisition;
     let Some(path) = &acquisition.replay.path else { return Ok(()) };
-    if !is_replayed_table(acquisition.source, Some(path)) {
+    if !is_replayed_table(acquisition) {
         return Ok(());
     }
     let settings = acquisition.replay.recording(acquisition.channels);
@@ -104,6 +104,7 @@ pub fn check_recording(config: &Config) -> anyhow::Result<()> {
 }
 
 /// Whether the source is a recording that is no recorded session: that has its own models.
-fn is_replayed_table(source: Source, path: Option<&Path>) -> bool {
-    source == Source::Replay && path.is_some_and(|path| !is_session_file(path))
+pub fn is_replayed_table(acquisition: &AcquisitionSettings) -> bool {
+    let path = acquisition.replay.path.as_deref();
+    acquisition.source == Source::Replay && path.is_some_and(|path| !is_session_file(path))
 }

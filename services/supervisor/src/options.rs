@@ -27,7 +27,7 @@ use crate::Failure;
 use crate::model_channels;
 use crate::page;
 use crate::personal::{check_person, set_person};
-use crate::recorded::configuration_of;
+use crate::recorded::{configuration_of, file_of};
 
 /// Read where no other is named.
 const DEFAULT_FILE: &str = "tendon.toml";
@@ -96,6 +96,13 @@ impl Base {
     /// The file, then what was set.
     fn read(&self) -> anyhow::Result<Config> {
         self.with_assignments(read_configuration(self.config.as_deref())?)
+    }
+
+    /// The value that `--set` gives this key last, as it was written, without quotation marks.
+    fn assigned(&self, key: &str) -> Option<&str> {
+        let assignments = self.assignments.iter().rev().filter_map(|assignment| assignment.split_once('='));
+        let value = assignments.into_iter().find_map(|(own, value)| (own.trim() == key).then_some(value))?;
+        Some(value.trim().trim_matches(['"', '\'']))
     }
 
     /// What was set, on top of `config`.
@@ -325,7 +332,8 @@ impl Options {
 
     /// The configuration before the options: of a recorded session its own, if no other is named.
     fn read(&self) -> anyhow::Result<(Config, Option<TempDir>)> {
-        let Some(recorded) = self.replay.as_deref().filter(|path| is_session_file(path)) else {
+        let replay = self.replay.as_deref().map(file_of);
+        let Some(recorded) = replay.as_deref().filter(|path| is_session_file(path)) else {
             return Ok((self.base.read()?, None));
         };
         ensure!(
@@ -345,8 +353,14 @@ impl Options {
     fn set_source(&self, config: &mut Config) -> anyhow::Result<()> {
         let acquisition = &mut config.acquisition;
         if let Some(path) = &self.replay {
+            let other = self.base.assigned("acquisition.source").filter(|source| *source != "replay");
+            ensure!(
+                other.is_none(),
+                "--replay takes the samples from a recording, and --set acquisition.source={} does not: leave one of the two out",
+                other.unwrap_or_default()
+            );
             acquisition.source = Source::Replay;
-            acquisition.replay.path = Some(path.clone());
+            acquisition.replay.path = Some(file_of(path));
         }
         if let Some(option) = self.recording.given() {
             ensure!(

@@ -48,6 +48,7 @@ pub struct FitOptions {
 
 /// Fits and writes a profile.
 pub fn fit(options: &FitOptions) -> Result<(), Failure> {
+    refuse_other_file(&options.out).map_err(Failure::input)?;
     let out = checked(Some(&options.out))?;
     let inputs = options.recordings.iter().map(PathBuf::as_path);
     check_distinct(&out, [], inputs).map_err(Failure::input)?;
@@ -60,6 +61,20 @@ pub fn fit(options: &FitOptions) -> Result<(), Failure> {
         profile.channels()
     ))
     .map_err(Failure::running)
+}
+
+/// An earlier profile is replaced, and nothing else.
+fn refuse_other_file(out: &Path) -> anyhow::Result<()> {
+    if !out.is_file() {
+        return Ok(());
+    }
+    let text = tendon_input::read_text(out, tendon_input::LARGEST_SETTINGS);
+    ensure!(
+        text.is_ok_and(|text| text.is_empty() || Profile::from_toml(&text).is_ok()),
+        "{} is there already and is no profile: name another file",
+        out.display()
+    );
+    Ok(())
 }
 
 fn fitted(options: &FitOptions) -> anyhow::Result<Profile> {

@@ -13,7 +13,7 @@ use tendon_output::OutputFile;
 use tendon_provenance::Provenance;
 use tendon_session::RecordingPlan;
 use tendon_session_file::{
-    Differences, Head, MODEL, PERSON, REST_MOVE_MODEL, RecordingStart, compare as compare_files,
+    Differences, FILE_NAME, Head, MODEL, PERSON, REST_MOVE_MODEL, RecordingStart, compare as compare_files,
 };
 
 use crate::Failure;
@@ -22,6 +22,12 @@ use crate::progress::Progress;
 
 /// Largest model or person that is compared with an attached one.
 const LARGEST_FILE: u64 = 200 << 20;
+
+/// The file of a session that was named by it or by its folder; any other path as it is.
+pub fn file_of(path: &Path) -> PathBuf {
+    let file = path.join(FILE_NAME);
+    if file.is_file() { file } else { path.to_owned() }
+}
 
 /// The configuration for the replay of the session recorded in the file at `path`: that of the recording, with the arm
 /// simulated. Models and person that are no longer where they were are taken out of the file, into the folder that comes
@@ -107,7 +113,7 @@ pub fn plan(
 /// Command line of `tendon compare`.
 #[derive(Debug, Args)]
 pub struct CompareOptions {
-    /// A recorded session.
+    /// A recorded session: its session.mcap, or the folder that holds it.
     first: PathBuf,
     /// Another one of the same samples, such as a replay of the first that was recorded.
     second: PathBuf,
@@ -119,11 +125,12 @@ pub struct CompareOptions {
 /// Compares two recorded sessions. What differs is a failure, unless only one of them has the beginning of its session.
 pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
+    let (first, second) = (file_of(&options.first), file_of(&options.second));
     let size = |path: &Path| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
-    let total = size(&options.first) + size(&options.second);
+    let total = size(&first) + size(&second);
     let megabytes = |bytes: u64| (bytes / 1_000_000) as usize;
     let mut progress = Progress::of(megabytes(total), "MB");
-    let compared = compare_files(&options.first, &options.second, |bytes| {
+    let compared = compare_files(&first, &second, |bytes| {
         progress.show(megabytes(bytes), String::new);
     });
     drop(progress);

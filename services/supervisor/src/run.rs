@@ -30,6 +30,7 @@ use tendon_transport::{Delivery, Leftovers, SessionLock};
 use tendon_zones::{Contraction, TaskRun};
 
 use crate::desk::SessionDesk;
+use crate::model_channels::is_replayed_table;
 use crate::next::{Following, Handover};
 use crate::options::Options;
 use crate::page::Page;
@@ -149,6 +150,9 @@ fn recording_line(recording: &RecordingReport) -> String {
     let lost = if lost.is_empty() { String::new() } else { format!(", without {}", lost.join(", ")) };
     let cut = if recording.error.is_some() { ", ended before the session" } else { "" };
     let megabytes = recording.bytes as f64 / 1e6;
+    if !recording.path.exists() {
+        return format!("recorded to {}, where it is no more{lost}", recording.path.display());
+    }
     format!("recorded to {} ({megabytes:.1} MB{lost}{cut})", recording.path.display())
 }
 
@@ -247,7 +251,11 @@ fn watch_until_the_end(
     if watch.wait_until_ready().map_err(failure)? == Turn::Over {
         return Ok(None);
     }
-    if let Some(signal) = watch.ready().get(&Stage::Acquisition).and_then(|ready| ready.signal.as_ref()) {
+    let ready = watch.ready().get(&Stage::Acquisition);
+    // The channels of a table were looked at before the session began.
+    let signal =
+        ready.and_then(|ready| ready.signal.as_ref()).filter(|_| !is_replayed_table(&config.acquisition));
+    if let Some(signal) = signal {
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);

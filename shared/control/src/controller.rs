@@ -99,6 +99,8 @@ pub struct Controller {
     supervisor_heard_ns: Option<u64>,
     /// When this was last called.
     woke_ns: Option<u64>,
+    /// When the newest fresh command came; `None` before the first.
+    fresh_command_ns: Option<u64>,
     /// Sequence number of the newest command, and the first sample of its window.
     newest_command: Option<(u64, u64)>,
     asked: Option<Asked>,
@@ -132,6 +134,7 @@ impl Controller {
             connecting_since_ns: None,
             supervisor_heard_ns: None,
             woke_ns: None,
+            fresh_command_ns: None,
             newest_command: None,
             asked: None,
             answer: None,
@@ -456,11 +459,11 @@ impl Controller {
                 self.latch.break_row();
             }
         }
-        if self.settings.stale_ns.is_some_and(|stale_ns| now_ns.saturating_sub(trace.captured_ns) > stale_ns)
-        {
+        if self.settings.stale_ns.is_some_and(|stale_ns| trace.is_stale(stale_ns, now_ns)) {
             self.latch.break_row();
             return Taken::Stale;
         }
+        self.fresh_command_ns = Some(now_ns);
         self.tick(now_ns);
         let is_permitted = self.phase == Phase::Following && self.latch.admits(header);
         if is_permitted {

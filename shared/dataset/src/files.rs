@@ -11,6 +11,6 @@ pub(crate) const MANIFEST: &str = "manifest.json";
 /// What a build has finished so far; gone once the data set is complete.
 pub(crate) const PROGRESS: &str = "progress.jsonl";
 
-/// All of them.
-pub(crate) const ALL: [&str; 9] =
+/// All that a data set consists of, finished or not.
+pub const ALL: [&str; 9] =
     [WINDOWS, LABELS, PEOPLE, REPETITIONS, RECORDINGS, STARTS, SPLITS, MANIFEST, PROGRESS];

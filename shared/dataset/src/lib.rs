@@ -50,6 +50,7 @@ mod trial;
 
 pub use build::{BuildSettings, DatasetError, Progress, build};
 pub use cut::{Cut, CutWindow, cut};
+pub use files::ALL as FILES;
 pub use listing::{Layout, ListingError, Recordings, list};
 pub use manifest::Manifest;
 pub use place::check_place;

@@ -16,7 +16,8 @@ mod signal;
 
 use std::path::{Path, PathBuf};
 
-use crate::{ExportError, Staging, Survey};
+use crate::staging::Staging;
+use crate::{ExportError, Survey};
 
 use participants::Participants;
 pub use participants::participant_of;
@@ -35,7 +36,7 @@ pub struct BidsFacts {
 }
 
 /// Adds the session of `survey` to the data set in `folder`, which is made if it is not there. Gives the recording's path.
-/// `has_read` is told how many bytes of the recording were read so far, in two passes.
+/// `has_read` is told how many bytes of the recording were read so far, in two passes, and may end the export.
 ///
 /// # Errors
 ///
@@ -45,16 +46,18 @@ pub fn write_bids(
     facts: &BidsFacts,
     folder: &Path,
     replace: bool,
-    mut has_read: impl FnMut(u64),
+    mut has_read: impl FnMut(u64) -> Result<(), ExportError>,
 ) -> Result<PathBuf, ExportError> {
+    let mut staging = Staging::begin(folder)?;
     let mut participants = Participants::read(folder)?;
     let subject = participants.subject(survey.person.as_ref().map(|person| person.as_str()));
     let name = Name::of(survey, facts, &subject);
     let recording = name.file("emg.bdf");
     check_replaceable(folder, &name, replace)?;
+    // First, so that the files of an export that is killed say whose they are.
+    staging.write(participants::FILE, participants.table().as_bytes())?;
     let events = events::gather(survey, signal::record_length(survey).samples, &mut has_read)?;
     let signals = sidecars::signals(survey)?;
-    let mut staging = Staging::begin(folder)?;
     let output = staging.create(&recording)?;
     signal::write(survey, &signals, &events, output, |bytes| has_read(survey.bytes + bytes))?;
     staging.write(name.file("emg.json"), &sidecars::recording(survey, facts, &name.task))?;
@@ -66,7 +69,6 @@ pub fn write_bids(
             staging.write(file, text.as_bytes())?;
         }
     }
-    staging.write(participants::FILE, participants.table().as_bytes())?;
     staging.keep()?;
     Ok(folder.join(recording))
 }

@@ -11,6 +11,9 @@ use tendon_session_file::{Block, Cue, Event, EventKind, StateRecord};
 
 use crate::{Placed, Survey, Timeline};
 
+/// What is said of a cue after which nothing is asked for. No gesture has such a name, as it has a space.
+const IS_OVER: &str = "is over";
+
 /// Something that happened.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Happening {
@@ -18,7 +21,7 @@ pub(crate) struct Happening {
     pub(crate) at_s: f64,
     /// `session`, `note`, `recording`, `cue` or `arm`.
     pub(crate) kind: &'static str,
-    /// What was said; of a cue, the gesture.
+    /// What was said; of a cue, the gesture, or [`IS_OVER`].
     pub(crate) text: String,
 }
 
@@ -71,9 +74,11 @@ impl Chronicle {
         let before = (self.timeline.end_s(), self.timeline.rows());
         let placed = self.timeline.take(block);
         let (mut cue, mut ended) = (None, None);
-        if let Some(Cue { since_sample, gesture, .. }) = self.cue.take() {
-            let last = u64::from(block.samples).saturating_sub(1);
-            let sample = since_sample.saturating_sub(block.first_sample).min(last);
+        // The end of a simulated gesture is known before it comes: the cue waits for its block.
+        let end_sample = block.first_sample.saturating_add(u64::from(block.samples));
+        if let Some(Cue { since_sample, gesture, .. }) = self.cue.take_if(|cue| cue.since_sample < end_sample)
+        {
+            let sample = since_sample.saturating_sub(block.first_sample);
             let start = (placed.start_s + sample as f64 / self.sample_rate_hz, placed.row + sample);
             // What ends with a block ends before the gap behind it.
             ended = self.end_trial(if sample == 0 { before } else { start });
@@ -81,6 +86,8 @@ impl Chronicle {
                 let ((start_s, start_row), text) = (start, gesture.clone());
                 cue = Some(Happening { at_s: start_s, kind: "cue", text });
                 self.trial = Some(Trial { start_s, end_s: start_s, gesture, start_row, end_row: start_row });
+            } else if let Some(Trial { end_s, .. }) = ended {
+                cue = Some(Happening { at_s: end_s, kind: "cue", text: IS_OVER.to_owned() });
             }
         }
         Taken { placed, cue, ended }

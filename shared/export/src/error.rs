@@ -52,6 +52,15 @@ pub enum ExportError {
         /// The folder.
         path: PathBuf,
     },
+    /// Another export writes there now.
+    #[error("something else is exported into {} right now: wait until it is done, or name another folder", path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A signal ended it.
+    #[error("the export was interrupted: nothing of it is left")]
+    Interrupted,
     /// The session is in the data set already.
     #[error("{} is there already: add --force to replace it", path.display())]
     Exists {
@@ -73,6 +82,12 @@ pub enum ExportError {
         channel: String,
         /// Its largest value.
         value: f32,
+    },
+    /// The people of the data set that is added to are not told.
+    #[error("{}: its first line names no column participant_id, which BIDS wants: add it, or name another folder", path.display())]
+    Participants {
+        /// The file.
+        path: PathBuf,
     },
     /// A file of the data set that is added to cannot be read.
     #[error("cannot read {}", path.display())]

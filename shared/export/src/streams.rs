@@ -19,12 +19,17 @@ use crate::chronicle::{Chronicle, Happening};
 use crate::xdf::{StreamId, Values, XdfChannel, XdfStream, XdfWriter};
 use crate::{ExportError, Survey};
 
-/// Writes the session of `survey` as XDF. `has_read` is told how many bytes of the recording were read so far.
+/// Writes the session of `survey` as XDF. `has_read` is told how many bytes of the recording were read so far, and may
+/// end the export.
 ///
 /// # Errors
 ///
 /// The system's, while it is written. That the recording cannot be read is one of them.
-pub fn write_xdf(survey: &Survey, output: &mut dyn Write, mut has_read: impl FnMut(u64)) -> io::Result<()> {
+pub fn write_xdf(
+    survey: &Survey,
+    output: &mut dyn Write,
+    mut has_read: impl FnMut(u64) -> Result<(), ExportError>,
+) -> io::Result<()> {
     let unreadable = |error| io::Error::other(ExportError::from(error));
     let mut streams = Streams::begin(survey, output)?;
     let mut reader = Reader::open(&survey.path).map_err(unreadable)?;
@@ -44,7 +49,7 @@ pub fn write_xdf(survey: &Survey, output: &mut dyn Write, mut has_read: impl FnM
             Message::Cue(cue) => streams.chronicle.cue(cue),
             Message::Window(_) | Message::Measurement(_) => {}
         }
-        has_read(reader.bytes_read());
+        has_read(reader.bytes_read()).map_err(io::Error::other)?;
     }
     streams.file.finish()
 }

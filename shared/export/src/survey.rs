@@ -82,15 +82,20 @@ pub struct Survey {
     pub ranges: Vec<(f32, f32)>,
     /// Whether the file was finished; `false` if its recorder was killed.
     pub is_whole: bool,
+    /// Damaged pieces of the file that were left out.
+    pub damaged_pieces: u64,
 }
 
 impl Survey {
-    /// Looks through the file at `path`. `has_read` is told how many bytes were read so far.
+    /// Looks through the file at `path`. `has_read` is told how many bytes were read so far, and may end it.
     ///
     /// # Errors
     ///
     /// [`ExportError`].
-    pub fn read(path: &Path, mut has_read: impl FnMut(u64)) -> Result<Survey, ExportError> {
+    pub fn read(
+        path: &Path,
+        mut has_read: impl FnMut(u64) -> Result<(), ExportError>,
+    ) -> Result<Survey, ExportError> {
         let mut reader = Reader::open(path)?;
         let mut said = Said::default();
         let mut samples = None;
@@ -103,7 +108,7 @@ impl Survey {
                 }
                 Record::Message(_) => {}
             }
-            has_read(reader.bytes_read());
+            has_read(reader.bytes_read())?;
         }
         let samples = samples.ok_or_else(|| ExportError::NoSamples { path: path.to_owned() })?;
         let config = Config::parse(&said.configuration, path).map_err(|source| {
@@ -132,6 +137,7 @@ impl Survey {
             unusable: samples.unusable,
             ranges: samples.ranges.into_iter().map(|range| range.unwrap_or_default()).collect(),
             is_whole: reader.is_whole(),
+            damaged_pieces: reader.damaged_pieces(),
         })
     }
 

@@ -23,7 +23,8 @@ use std::path::Path;
 use serde_json::Value;
 use tendon_session_file::{Message, Reader};
 
-use crate::{ExportError, Staging, Survey};
+use crate::staging::Staging;
+use crate::{ExportError, Survey};
 
 use columns::Columns;
 use rows::Rows;
@@ -56,7 +57,7 @@ const LARGEST_HEAD: u64 = 4 << 20;
 /// # Errors
 ///
 /// [`ExportError::NoExport`] with the file that is none of an export, or the folder if one is missing.
-pub fn check_replaceable(folder: &Path) -> Result<(), ExportError> {
+pub(crate) fn check_replaceable(folder: &Path) -> Result<(), ExportError> {
     let columns: Value = head(&folder.join(COLUMNS))
         .and_then(|bytes| serde_json::from_slice(&bytes).ok())
         .ok_or_else(|| ExportError::NoExport { path: folder.to_owned() })?;
@@ -90,18 +91,38 @@ fn head(path: &Path) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Writes the session of `survey` as tables to `folder`, in place of those of the same names: see [`check_replaceable`].
-/// `has_read` is told how many bytes of the recording were read so far.
+/// Refuses a folder with anything in it, or, with `replace`, with anything but an earlier export.
 ///
 /// # Errors
 ///
-/// [`ExportError`]. Nothing is left of an export that failed.
+/// [`ExportError::NotEmpty`], [`ExportError::NoExport`], and [`ExportError::Write`] where it cannot be looked at.
+pub fn check_tables(folder: &Path, replace: bool) -> Result<(), ExportError> {
+    if !Staging::is_occupied(folder)? {
+        return Ok(());
+    }
+    if !replace {
+        return Err(ExportError::NotEmpty { path: folder.to_owned() });
+    }
+    check_replaceable(folder)
+}
+
+/// Writes the session of `survey` as tables to `folder`; with `replace` in place of an earlier export. `has_read` is told how
+/// many bytes of the recording were read so far, and may end the export.
+///
+/// # Errors
+///
+/// [`ExportError`], and as [`check_tables`]. Nothing is left of an export that failed.
 pub fn write_tables(
     survey: &Survey,
     folder: &Path,
-    mut has_read: impl FnMut(u64),
+    replace: bool,
+    mut has_read: impl FnMut(u64) -> Result<(), ExportError>,
 ) -> Result<(), ExportError> {
     let mut staging = Staging::begin(folder)?;
+    // Another export may have been put there since it was looked at.
+    check_tables(folder, replace)?;
+    // First, so that the files of an export that is killed say whose they are.
+    staging.write(SESSION, &facts::session(survey))?;
     let columns = Columns::of(survey);
     let mut rows = Rows::begin(survey, &columns, &mut staging)?;
     let mut reader = Reader::open(&survey.path)?;
@@ -120,21 +141,24 @@ pub fn write_tables(
             Message::Window(_) | Message::Measurement(_) => Ok(()),
         }
         .map_err(&failed)?;
-        has_read(reader.bytes_read());
+        has_read(reader.bytes_read())?;
     }
     rows.finish().map_err(&failed)?;
     if let Some(task) = &survey.task {
         let zones = staging.create(ZONES)?;
         rows::zones(task, &columns, zones).map_err(&failed)?;
     }
-    staging.write(SESSION, &facts::session(survey))?;
     staging.write(COLUMNS, &columns.to_json())?;
     staging.write(CONFIGURATION, survey.configuration.as_bytes())?;
     staging.keep()?;
-    let old_zones = folder.join(ZONES);
-    if survey.task.is_none() && old_zones.is_file() {
-        // Those of an earlier export are none of a session without a task.
-        std::fs::remove_file(&old_zones).map_err(ExportError::writing(&old_zones))?;
+    remove_old_zones(folder, survey)
+}
+
+/// The zones of an earlier export are none of a session without a task.
+fn remove_old_zones(folder: &Path, survey: &Survey) -> Result<(), ExportError> {
+    let zones = folder.join(ZONES);
+    if survey.task.is_none() && zones.is_file() {
+        std::fs::remove_file(&zones).map_err(ExportError::writing(&zones))?;
     }
     Ok(())
 }

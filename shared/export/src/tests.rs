@@ -82,11 +82,26 @@ impl Session {
     }
 
     pub(crate) fn cue(&mut self, class_number: u8, gesture: &str) {
+        self.cue_ahead(0, class_number, gesture);
+    }
+
+    /// A cue that is known so many samples before it comes.
+    pub(crate) fn cue_ahead(&mut self, samples: u64, class_number: u8, gesture: &str) {
         self.messages.push(Message::Cue(Cue {
-            since_sample: self.next_sample,
+            since_sample: self.next_sample + samples,
             captured_ns: self.now_ns,
             class_number: Some(class_number),
             gesture: Some(gesture.to_owned()),
+        }));
+    }
+
+    /// From here on nothing is asked for.
+    pub(crate) fn cue_is_over(&mut self) {
+        self.messages.push(Message::Cue(Cue {
+            since_sample: self.next_sample,
+            captured_ns: self.now_ns,
+            class_number: None,
+            gesture: None,
         }));
     }
 
@@ -210,13 +225,13 @@ pub(crate) fn eventful() -> Session {
 }
 
 fn survey(path: &Path) -> Survey {
-    Survey::read(path, |_| ()).unwrap()
+    Survey::read(path, |_| Ok(())).unwrap()
 }
 
 fn exported(session: &Session) -> (TempDir, PathBuf) {
     let (folder, path) = session.file();
     let tables = folder.path().join("tables");
-    write_tables(&survey(&path), &tables, |_| ()).unwrap();
+    write_tables(&survey(&path), &tables, false, |_| Ok(())).unwrap();
     (folder, tables)
 }
 
@@ -266,6 +281,20 @@ fn the_signal_reads_back_bit_for_bit_with_its_gaps_in_time() {
         assert!((times[row] - time_s).abs() < 2e-7, "row {row}: {} s", times[row]);
     }
     assert_eq!(names(&tables, "signal.csv"), ["time_s", "flexor", "channel_2", "a_ _b_"]);
+}
+
+#[test]
+fn a_cue_that_is_known_before_it_comes_waits_for_its_block() {
+    let mut session = Session::new(3);
+    session.cue(1, "extension");
+    session.blocks(2);
+    session.cue_ahead(15, 0, "rest");
+    session.blocks(2);
+    let (_folder, tables) = exported(&session);
+    assert_eq!(
+        rows(&tables, "trials.csv"),
+        [["0.0000000", "0.0175000", "extension", "0", "35"], ["0.0175000", "0.0200000", "rest", "35", "40"]]
+    );
 }
 
 #[test]
@@ -345,10 +374,10 @@ fn a_file_that_was_cut_is_exported_up_to_there_and_one_without_samples_is_refuse
     let cut = survey(&path);
     assert!(!cut.is_whole && cut.samples > 0, "{cut:?}");
     let tables = folder.path().join("tables");
-    write_tables(&cut, &tables, |_| ()).unwrap();
+    write_tables(&cut, &tables, false, |_| Ok(())).unwrap();
     assert_eq!(rows(&tables, "signal.csv").len() as u64, cut.samples);
     let (_folder, path) = Session::new(1).file();
-    assert!(matches!(Survey::read(&path, |_| ()), Err(ExportError::NoSamples { .. })));
+    assert!(matches!(Survey::read(&path, |_| Ok(())), Err(ExportError::NoSamples { .. })));
 }
 
 #[test]
@@ -357,15 +386,62 @@ fn an_export_that_fails_leaves_nothing() {
     let surveyed = survey(&path);
     std::fs::remove_file(&path).unwrap();
     let tables = folder.path().join("tables");
-    assert!(write_tables(&surveyed, &tables, |_| ()).is_err());
+    assert!(write_tables(&surveyed, &tables, false, |_| Ok(())).is_err());
+    assert!(!tables.exists());
+    // A folder that was there before stays.
+    std::fs::create_dir(&tables).unwrap();
+    assert!(write_tables(&surveyed, &tables, false, |_| Ok(())).is_err());
     assert_eq!(std::fs::read_dir(&tables).unwrap().count(), 0);
+}
+
+#[test]
+fn an_export_that_is_interrupted_leaves_nothing_and_one_that_is_killed_hinders_no_other() {
+    let (folder, path) = eventful().file();
+    let surveyed = survey(&path);
+    let [tables, data_set] = ["tables", "study"].map(|name| folder.path().join(name));
+    let interrupted = write_tables(&surveyed, &tables, false, |_| Err(ExportError::Interrupted));
+    assert!(matches!(interrupted, Err(ExportError::Interrupted)), "{interrupted:?}");
+    let facts = BidsFacts::default();
+    let interrupted = write_bids(&surveyed, &facts, &data_set, false, |_| Err(ExportError::Interrupted));
+    assert!(matches!(interrupted, Err(ExportError::Interrupted)), "{interrupted:?}");
+    assert!(!tables.exists() && !data_set.exists());
+
+    for place in [&tables, &data_set] {
+        std::fs::create_dir_all(place.join(".tendon-a1b2c3")).unwrap();
+        std::fs::write(place.join(".tendon-a1b2c3/signal.csv"), "").unwrap();
+    }
+    write_tables(&surveyed, &tables, false, |_| Ok(())).unwrap();
+    write_bids(&surveyed, &facts, &data_set, false, |_| Ok(())).unwrap();
+    assert!([tables, data_set].iter().all(|place| !place.join(".tendon-a1b2c3").exists()));
+}
+
+#[test]
+fn one_export_at_a_time_writes_to_a_folder() {
+    let (folder, path) = eventful().file();
+    let surveyed = survey(&path);
+    let tables = folder.path().join("tables");
+    let mut refused = 0;
+    write_tables(&surveyed, &tables, false, |_| {
+        let other = write_tables(&surveyed, &tables, false, |_| Ok(()));
+        assert!(matches!(other, Err(ExportError::Busy { .. })), "{other:?}");
+        let other = write_bids(&surveyed, &BidsFacts::default(), &tables, false, |_| Ok(()));
+        assert!(matches!(other, Err(ExportError::Busy { .. })), "{other:?}");
+        refused += 1;
+        Ok(())
+    })
+    .unwrap();
+    assert!(refused > 0);
+    // One that looked before the other was done sees now that it is not wanted.
+    let late = write_tables(&surveyed, &tables, false, |_| Ok(()));
+    assert!(matches!(late, Err(ExportError::NotEmpty { .. })), "{late:?}");
+    write_tables(&surveyed, &tables, true, |_| Ok(())).unwrap();
 }
 
 #[test]
 fn only_what_an_export_wrote_is_replaced() {
     let (_session, tables) = exported(&eventful());
     let write = |file: &str, text: &str| std::fs::write(tables.join(file), text).unwrap();
-    let refused = || match check_replaceable(&tables) {
+    let refused = || match crate::tables::check_replaceable(&tables) {
         Err(ExportError::NoExport { path }) => Some(path),
         checked => checked.map(|()| None).unwrap(),
     };
@@ -373,13 +449,16 @@ fn only_what_an_export_wrote_is_replaced() {
     // Of a session without a task, after which there are no zones.
     let (_other_folder, other) = eventful().file();
     let without_task = Survey { task: None, ..survey(&other) };
-    write_tables(&without_task, &tables, |_| ()).unwrap();
+    write_tables(&without_task, &tables, true, |_| Ok(())).unwrap();
     assert!(!tables.join("zones.csv").exists());
     assert_eq!(refused(), None);
     for file in ["zones.csv", "signal.csv"] {
         write(file, "zone,mine\n1,2\n");
         assert_eq!(refused(), Some(tables.join(file)));
-        write_tables(&survey(&other), &tables, |_| ()).unwrap();
+        let kept = write_tables(&survey(&other), &tables, true, |_| Ok(()));
+        assert!(matches!(kept, Err(ExportError::NoExport { .. })), "{kept:?}");
+        std::fs::remove_dir_all(&tables).unwrap();
+        write_tables(&survey(&other), &tables, false, |_| Ok(())).unwrap();
         assert_eq!(refused(), None);
     }
     std::fs::remove_file(tables.join("arm.csv")).unwrap();
@@ -407,7 +486,7 @@ fn a_data_set_has_each_session_with_its_gaps() {
     let (folder, path) = eventful().file();
     let data_set = folder.path().join("study");
     let facts = BidsFacts { reference: Some("Bipolar".to_owned()), ..BidsFacts::default() };
-    let written = write_bids(&survey(&path), &facts, &data_set, false, |_| ()).unwrap();
+    let written = write_bids(&survey(&path), &facts, &data_set, false, |_| Ok(())).unwrap();
     assert_eq!(written, bids_file(&data_set, 0, "task-zones_emg.bdf"));
     let bytes = std::fs::read(&written).unwrap();
     let text = |at: usize, width: usize| std::str::from_utf8(&bytes[at..at + width]).unwrap().trim_end();
@@ -466,9 +545,9 @@ fn a_data_set_has_each_session_with_its_gaps() {
     assert_eq!(channels.lines().nth(1), Some("flexor\tEMG\tuV\tflexor"));
 
     // The same again is refused, replaced if wanted; another session joins it, and what a person wrote stays.
-    let again = write_bids(&survey(&path), &facts, &data_set, false, |_| ());
+    let again = write_bids(&survey(&path), &facts, &data_set, false, |_| Ok(()));
     assert!(matches!(again, Err(ExportError::Exists { .. })), "{again:?}");
-    write_bids(&survey(&path), &facts, &data_set, true, |_| ()).unwrap();
+    write_bids(&survey(&path), &facts, &data_set, true, |_| Ok(())).unwrap();
     let written = std::fs::read(&written).unwrap();
     // A sidecar alone, and a recording of something else, are none of an export.
     let recording = bids_file(&data_set, 0, "_emg.bdf");
@@ -478,7 +557,7 @@ fn a_data_set_has_each_session_with_its_gaps() {
             std::fs::write(&recording, bytes).unwrap();
         }
         for (replace, is_told_apart) in [(false, false), (true, true)] {
-            let refused = write_bids(&survey(&path), &facts, &data_set, replace, |_| ()).unwrap_err();
+            let refused = write_bids(&survey(&path), &facts, &data_set, replace, |_| Ok(())).unwrap_err();
             assert_eq!(matches!(refused, ExportError::NoExport { .. }), is_told_apart, "{refused}");
         }
         std::fs::write(&recording, &written).unwrap();
@@ -487,7 +566,7 @@ fn a_data_set_has_each_session_with_its_gaps() {
     let mut other = Session::beginning_at(2, BEGUN_NS + 3_600_000_000_000);
     other.blocks(3);
     let (_other_folder, other) = other.file();
-    write_bids(&survey(&other), &BidsFacts::default(), &data_set, false, |_| ()).unwrap();
+    write_bids(&survey(&other), &BidsFacts::default(), &data_set, false, |_| Ok(())).unwrap();
     assert_eq!(json(&bids_file(&data_set, 1, "_emg.json"))["RecordingType"], "continuous");
     assert_eq!(std::fs::read_to_string(data_set.join("README")).unwrap(), "mine");
     let participants = std::fs::read_to_string(data_set.join("participants.tsv")).unwrap();
@@ -498,7 +577,7 @@ fn a_data_set_has_each_session_with_its_gaps() {
 fn streams_are_on_one_clock() {
     let (_folder, path) = eventful().file();
     let mut bytes = Vec::new();
-    write_xdf(&survey(&path), &mut bytes, |_| ()).unwrap();
+    write_xdf(&survey(&path), &mut bytes, |_| Ok(())).unwrap();
     let contains = |part: &[u8]| bytes.windows(part.len()).any(|window| window == part);
     assert!(contains(b"<sample_count>90</sample_count>") && contains(b"<unit>uV</unit>"));
     let stamped = |at_s: f64, value: &[u8]| contains(&[&[8], &at_s.to_le_bytes()[..], value].concat());
@@ -516,9 +595,9 @@ fn what_is_exported_is_read_again_with_its_gaps_and_cues() {
     let (folder, path) = eventful().file();
     let survey = survey(&path);
     let bdf =
-        write_bids(&survey, &BidsFacts::default(), &folder.path().join("study"), false, |_| ()).unwrap();
+        write_bids(&survey, &BidsFacts::default(), &folder.path().join("study"), false, |_| Ok(())).unwrap();
     let xdf = folder.path().join("session.xdf");
-    write_xdf(&survey, &mut std::fs::File::create(&xdf).unwrap(), |_| ()).unwrap();
+    write_xdf(&survey, &mut std::fs::File::create(&xdf).unwrap(), |_| Ok(())).unwrap();
     let read = |file: &Path| Signals::read(file, &["a, \"b\"".into(), "flexor".into()]).unwrap();
     let [bdf, xdf] = [read(&bdf), read(&xdf)];
     // Rows 0 to 39, 40 to 59 behind 30 lost ones, and 30 more of a source that began anew a second later.
@@ -538,4 +617,29 @@ fn what_is_exported_is_read_again_with_its_gaps_and_cues() {
     assert!(bdf.columns[0].iter().zip(&xdf.columns[0]).all(is_near));
     assert_eq!((bdf.gaps, bdf.unit.as_str(), bdf.sample_rate_hz), (xdf.gaps, "uV", RATE_HZ));
     assert!(bdf.cues.iter().map(|cue| cue.gesture.name()).eq(["rest", "extension", "rest"]));
+}
+
+#[test]
+fn a_cue_after_which_nothing_is_asked_for_ends_in_every_format() {
+    let mut session = Session::new(2);
+    session.cue_is_over();
+    session.blocks(2);
+    session.cue(1, "extension");
+    session.blocks(3);
+    session.cue_is_over();
+    session.blocks(4);
+    let (folder, tables) = exported(&session);
+    let said: Vec<Vec<String>> = rows(&tables, "events.csv").iter().map(|row| row[1..].to_vec()).collect();
+    assert_eq!(said, [["cue", "extension"], ["cue", "is over"]]);
+    let survey = survey(&folder.path().join("session.mcap"));
+    let facts = BidsFacts::default();
+    let bdf = write_bids(&survey, &facts, &folder.path().join("study"), false, |_| Ok(())).unwrap();
+    let xdf = folder.path().join("session.xdf");
+    write_xdf(&survey, &mut std::fs::File::create(&xdf).unwrap(), |_| Ok(())).unwrap();
+    for file in [bdf, xdf] {
+        let cues = Signals::read(&file, &["flexor".into()]).unwrap().cues;
+        let cues: Vec<(&str, u64, Option<u64>)> =
+            cues.iter().map(|cue| (cue.gesture.name(), cue.start_sample, cue.end_sample)).collect();
+        assert_eq!(cues, [("extension", 20, Some(50))], "{}", file.display());
+    }
 }

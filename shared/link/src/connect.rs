@@ -18,6 +18,8 @@ const TRY_INTERVAL: Duration = Duration::from_secs(1);
 const SILENCE: Duration = Duration::from_millis(500);
 /// Nothing is due so soon.
 const LONG: Duration = Duration::from_secs(3600);
+/// Time between two lines about devices that dial in while one is connected: they try again several times a second.
+const REFUSAL_INTERVAL: Duration = Duration::from_secs(60);
 /// Bytes of a read.
 const READ_BYTES: usize = 1 << 16;
 
@@ -61,7 +63,7 @@ impl Connecting {
         let (asked, requests) = io::pipe()?;
         stay_ready(&wakes)?;
         stay_ready(&asked)?;
-        let thread = Thread { connector, events: sender, waker, requests: asked };
+        let thread = Thread { connector, events: sender, waker, requests: asked, refusal_said: None };
         std::thread::Builder::new().name("connect".to_owned()).spawn(move || thread.run())?;
         Ok(Connecting { events, wakes, requests })
     }
@@ -97,6 +99,8 @@ struct Thread<C> {
     events: Sender<Event>,
     waker: PipeWriter,
     requests: PipeReader,
+    /// When it was last said that somebody was refused.
+    refusal_said: Option<Instant>,
 }
 
 impl<C: Connector> Thread<C> {
@@ -116,8 +120,9 @@ impl<C: Connector> Thread<C> {
                     }
                 }
             }
+            let name = link.name.clone();
             self.say(Event::Link(link))?;
-            self.refuse_others()?;
+            self.refuse_others(&name)?;
             is_asked = true;
         }
     }
@@ -150,7 +155,7 @@ impl<C: Connector> Thread<C> {
                 _ if Instant::now() < silent_at => continue,
                 _ => return Err(ConnectError::not_yet(format!("{} sends nothing any more", link.name))),
             }
-            refuse(self.connector.listener());
+            refuse(self.connector.listener(), &link.name, &mut self.refusal_said);
             let count =
                 read_before(&link.stream, &mut buffer, Instant::now()).map_err(ConnectError::not_yet)?;
             match count {
@@ -165,7 +170,7 @@ impl<C: Connector> Thread<C> {
     }
 
     /// Refuses whoever dials in until another connection is asked for; `None` when the process ends.
-    fn refuse_others(&mut self) -> Option<()> {
+    fn refuse_others(&mut self, connected: &str) -> Option<()> {
         loop {
             let requests = self.requests.as_fd();
             let listener = self.connector.listener();
@@ -176,7 +181,7 @@ impl<C: Connector> Thread<C> {
                 return matches!(self.take_request(), Asked::Yes).then_some(());
             }
             if dialled {
-                refuse(listener);
+                refuse(listener, connected, &mut self.refusal_said);
             }
         }
     }
@@ -189,10 +194,15 @@ impl<C: Connector> Thread<C> {
     }
 }
 
-/// Hangs up on whoever has dialled in.
-fn refuse(listener: Option<&TcpListener>) {
+/// Hangs up on whoever has dialled in while `connected` is there, and says so now and then.
+fn refuse(listener: Option<&TcpListener>, connected: &str, said: &mut Option<Instant>) {
     let Some(listener) = listener else { return };
     while let Ok(Some((_, peer))) = accept(listener, Duration::ZERO) {
-        tracing::warn!("{peer} dialled in and was refused: there is a connection already");
+        if said.is_none_or(|at| at.elapsed() >= REFUSAL_INTERVAL) {
+            *said = Some(Instant::now());
+            tracing::warn!(
+                "{peer} dialled in and was refused: {connected} is connected. Switch one of them off"
+            );
+        }
     }
 }

@@ -17,7 +17,6 @@
 
 mod connect;
 mod error;
-mod loss;
 mod rate;
 mod socket;
 mod source;

@@ -4,12 +4,13 @@ use std::os::fd::AsFd;
 
 use nix::errno::Errno;
 use tendon_process::{STALE_NS, SignalDescription, StageProcess, Wake, with_causes};
-use tendon_source::{BlockAssembler, Choice, Chunk, DeviceClock, Next, Offer, Source, SourceError, Wait};
+use tendon_source::{
+    BlockAssembler, Choice, Chunk, DeviceClock, LossByTime, Next, Offer, Source, SourceError, Wait,
+};
 use tendon_transport::now_ns;
 
 use crate::connect::{Connecting, Connector, Event};
 use crate::error::{ConnectError, LinkError};
-use crate::loss::LossByTime;
 use crate::{Instants, Link};
 
 /// How long the device may take to be there when the program starts, ns. A session waits a little longer.
@@ -409,5 +410,20 @@ mod tests {
             push(&mut stream, step * 10, 5110 + step * 10);
         }
         assert!((6095..=6105).contains(&stream.next_sample), "{}", stream.next_sample);
+    }
+
+    #[test]
+    fn a_jump_of_the_index_without_time_passing_is_a_loss_and_no_lateness() {
+        let mut stream = stream();
+        stream.begin(true, 5000 * MS);
+        for step in 0..500 {
+            push(&mut stream, step * 10, 5010 + step * 10);
+        }
+        for step in 500..1500 {
+            let blocks = push(&mut stream, 3000 + step * 10, 5010 + step * 10);
+            assert_eq!(blocks[0].0, 3000 + step * 10);
+            assert_eq!(stream.lateness_ns, 0, "step {step}");
+        }
+        assert_eq!(stream.failure(5010 * MS + 14_990 * MS), None);
     }
 }

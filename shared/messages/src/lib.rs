@@ -92,6 +92,17 @@ pub struct Trace {
     pub published_ns: [u64; STAGE_COUNT],
 }
 
+/// A capture time further ahead than this is wrong, ns: all stages read the same clock.
+const AHEAD_NS: u64 = 1_000_000;
+
+impl Trace {
+    /// Whether the newest sample is older than `stale_ns` at `now_ns`, or its capture time cannot be right because it lies ahead.
+    pub fn is_stale(&self, stale_ns: u64, now_ns: u64) -> bool {
+        self.captured_ns > now_ns.saturating_add(AHEAD_NS)
+            || now_ns.saturating_sub(self.captured_ns) > stale_ns
+    }
+}
+
 /// A header that starts with a [`Trace`].
 pub trait Traced: Copy + Default + core::fmt::Debug + ZeroCopySend + 'static {
     /// The trace.

@@ -240,10 +240,10 @@ impl StageProcess {
         }
     }
 
-    /// Whether what was captured then is too old to act upon now. In a lossless replay nothing is: its
-    /// messages wait for each other as long as it takes.
+    /// Whether what was captured then is too old to act upon now, or cannot have been captured then. In a lossless replay
+    /// nothing is: its messages wait for each other as long as it takes.
     pub fn is_stale(&self, trace: &Trace) -> bool {
-        self.config.delivery() == Delivery::Live && now_ns().saturating_sub(trace.captured_ns) > STALE_NS
+        self.config.delivery() == Delivery::Live && trace.is_stale(STALE_NS, now_ns())
     }
 
     /// Transit and work of a message with this trace, which led to a publication at `published_ns` or to none.

@@ -38,6 +38,9 @@ pub struct CueSpan {
     pub samples: u64,
 }
 
+/// A gap that is at least as long is named, in seconds: a replay at its true pace is silent for so long.
+const LONG_SILENCE_S: f64 = 10.0;
+
 /// Reads the whole recording once, so that a bad one is refused before anything starts.
 ///
 /// # Errors
@@ -47,7 +50,9 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
     let mut frames = vec![0.0; FRAMES_AT_ONCE * source.channels()];
     let mut counts = vec![0_u64; source.segments().len()];
     let mut constant = Vec::new();
-    while let Some((count, Frame { segment, .. })) = source.next_frames(&mut frames)? {
+    // The longest gap, and the samples before it.
+    let (mut longest_lost, mut samples_before) = (0, 0);
+    while let Some((count, Frame { segment, samples_lost_before, .. })) = source.next_frames(&mut frames)? {
         let frames = &frames[..count * source.channels()];
         if counts.iter().all(|count| *count == 0) {
             constant = frames[..source.channels()].iter().copied().enumerate().collect();
@@ -55,6 +60,9 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         constant.retain(|(channel, value)| {
             frames.iter().skip(*channel).step_by(source.channels()).all(|sample| sample == value)
         });
+        if samples_lost_before > longest_lost {
+            (longest_lost, samples_before) = (samples_lost_before, counts.iter().sum());
+        }
         counts[segment] += count as u64;
     }
     if counts.iter().all(|count| *count == 0) {
@@ -68,7 +76,15 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         constant.into_iter().map(|(channel, value)| (names[channel].clone(), value)).collect();
     let constant =
         (!constant.is_empty()).then(|| Notice::Constant { path: path.to_owned(), channels: constant });
-    let notices = source.notices().iter().cloned().chain(constant).collect();
+    let sample_rate_hz = source.sample_rate_hz();
+    let seconds = |samples: u64| samples as f64 / sample_rate_hz;
+    let silence = Some(seconds(longest_lost)).filter(|silence_s| *silence_s >= LONG_SILENCE_S);
+    let silence = silence.map(|silence_s| Notice::Silence {
+        path: path.to_owned(),
+        silence_s,
+        after_s: seconds(samples_before),
+    });
+    let notices = source.notices().iter().cloned().chain(silence).chain(constant).collect();
     let mut samples = 0;
     let cues = source.segments().iter().zip(counts).map(|(segment, count)| {
         let span = CueSpan { segment: segment.clone(), first_sample: samples, samples: count };
@@ -76,7 +92,6 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         span
     });
     let cues = cues.collect();
-    let sample_rate_hz = source.sample_rate_hz();
     Ok(Summary {
         samples,
         sample_rate_hz,

@@ -73,7 +73,7 @@ pub enum RecordingError {
     },
     /// A plain table whose first lines state rates of which none can be taken.
     #[error(
-        "{} states {}, which does not tell its sampling rate: give sample_rate_hz, e.g. 2000",
+        "{} states {}, which does not tell its sampling rate: give sample_rate_hz (--recording-rate-hz), e.g. 2000",
         .file.display(),
         .stated.iter().map(|rate| format!("{rate} Hz")).collect::<Vec<_>>().join(" and ")
     )]

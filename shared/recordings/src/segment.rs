@@ -87,6 +87,15 @@ pub enum Notice {
         /// The line after the first of them.
         line: u64,
     },
+    /// The longest gap is so long that a replay at its true pace seems to stand still.
+    Silence {
+        /// The recording.
+        path: PathBuf,
+        /// How long it is, in seconds.
+        silence_s: f64,
+        /// Seconds of samples before it.
+        after_s: f64,
+    },
     /// Lines have no sample in a chosen column.
     MissingSamples {
         /// The file.
@@ -199,6 +208,11 @@ impl fmt::Display for Notice {
                 file.display(),
                 if *samples == 1 { "1 sample is".to_owned() } else { format!("{samples} samples are") },
                 places(*gaps)
+            ),
+            Notice::Silence { path, silence_s, after_s } => write!(
+                formatter,
+                "{}: after {after_s:.1} s of samples, {silence_s:.0} s are missing: replayed at its true pace, it is silent for so long",
+                path.display()
             ),
             Notice::MissingSamples { file, lines, line } => write!(
                 formatter,

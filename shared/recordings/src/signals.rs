@@ -242,6 +242,9 @@ pub(crate) fn choose(channels: &[Channel], names: &[String]) -> Result<Vec<usize
     Ok(chosen)
 }
 
+/// The marker that ends a cue after which nothing is asked for. It names no gesture, as it has a space.
+pub(crate) const CUE_IS_OVER: &str = "cue is over";
+
 /// The gesture that an annotation or marker names, as `grip` or `cue grip`. Of numbers, 0 is rest.
 pub(crate) fn gesture_of(text: &str) -> Option<Gesture> {
     let text = text.trim().to_ascii_lowercase();
@@ -297,6 +300,7 @@ mod tests {
         assert_eq!(name("cue grip"), Some("grip".to_owned()));
         assert_eq!(name("0"), Some("rest".to_owned()));
         assert_eq!(name("12"), Some("gesture-12".to_owned()));
+        assert_eq!(name(CUE_IS_OVER), None);
         assert_eq!((name("Recording paused"), name("gesture grip"), name("")), (None, None, None));
     }
 }

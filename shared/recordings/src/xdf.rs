@@ -24,7 +24,7 @@ use flate2::bufread::MultiGzDecoder;
 use tendon_signal::unit_factor;
 
 use crate::segment::Notice;
-use crate::signals::{Cue, Gap, Signals, SignalsError, choose, gesture_of};
+use crate::signals::{CUE_IS_OVER, Cue, Gap, Signals, SignalsError, choose, gesture_of};
 use crate::table::Channel;
 
 use chunks::Contents;
@@ -170,16 +170,23 @@ fn gaps(stretches: &[Stretch], sample_rate_hz: f64) -> Vec<Gap> {
     stretches.windows(2).map(gap).collect()
 }
 
-/// What the markers of a stream ask for.
+/// What the markers of a stream ask for. Until when, only some of them say.
 fn cues(markers: &Stream, contents: &Contents<'_>, stretches: &[Stretch], samples: u64) -> Vec<Cue> {
     let clock = Clock::of(markers, contents);
-    let texts = markers.texts(contents).into_iter();
-    let cue = |(stamp_s, text): (f64, String)| {
-        let gesture = gesture_of(&text)?;
-        let start_sample = sample_at(stretches, clock.corrected(stamp_s));
-        (start_sample < samples).then_some(Cue { gesture, start_sample, end_sample: None })
-    };
-    texts.filter_map(cue).collect()
+    let mut cues: Vec<Cue> = Vec::new();
+    for (stamp_s, text) in markers.texts(contents) {
+        let at_sample = || sample_at(stretches, clock.corrected(stamp_s));
+        if text == CUE_IS_OVER {
+            let open = cues.last_mut().filter(|cue| cue.end_sample.is_none());
+            open.into_iter().for_each(|cue| cue.end_sample = Some(at_sample()));
+        } else if let Some(gesture) = gesture_of(&text) {
+            cues.push(Cue { gesture, start_sample: at_sample(), end_sample: None });
+        }
+    }
+    cues.retain(|cue| {
+        cue.start_sample < samples && cue.end_sample.is_none_or(|end_sample| end_sample > cue.start_sample)
+    });
+    cues
 }
 
 /// The sample at a time: what lies in a gap belongs to its end, what lies before all to the first.

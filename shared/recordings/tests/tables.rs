@@ -323,6 +323,17 @@ fn columns_of_different_units_are_brought_to_that_of_the_first() {
 }
 
 #[test]
+fn a_long_silence_is_named_with_its_place() {
+    let jump_s = |row: usize| if row < 500 { 0.0 } else { 86_400.0 };
+    let text = format!("time,{}\n", ABCD.join(","))
+        + &rows(1000, |row| format!("{:.3},{}", row as f64 / 1000.0 + jump_s(row), samples(row, 4, ",")));
+    let notices = read_unasked(&text).unwrap().notices;
+    let [Notice::Gaps { .. }, silence @ Notice::Silence { .. }] = &notices[..] else { panic!("{notices:?}") };
+    let said = silence.to_string();
+    assert!(said.contains("after 0.5 s of samples, 86400 s are missing"), "{said}");
+}
+
+#[test]
 fn a_gap_in_time_and_missing_cells_are_gaps_that_no_block_spans() {
     let row = |row: usize| {
         let samples = samples(row, 4, ",");

@@ -20,7 +20,8 @@
 //! `"inf"` or `"-inf"`; every other `f32` reads back bit for bit. The times inside messages are CLOCK_MONOTONIC in ns, as in
 //! every header; the log and publish times of the file are the time of day.
 //!
-//! A chunk is closed at least every half second, so a file whose writer was killed lacks no more than that.
+//! A chunk is closed at least every half second, so a file whose writer was killed lacks no more than that; and at 96 KiB, so
+//! a damaged byte spoils no more than that.
 #![forbid(unsafe_code)]
 
 mod block;

@@ -14,7 +14,8 @@
 //! dsp reads the marks and hands on, in each window's context, what concerns the stages behind it. A message is tied to its
 //! epoch by when the block behind it was published, which its trace says.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::ops::Range;
 use std::path::Path;
 
 use tendon_messages::{ReplayMark, Stage};
@@ -80,8 +81,8 @@ pub struct ReplayMarks {
     epochs: EpochCounter,
     /// Epoch and first sample of each block with which dsp began anew.
     restarts_of_dsp: HashSet<(u32, u64)>,
-    windows: HashMap<KeyOfWindow, u8>,
-    ordered_modes: HashMap<KeyOfWindow, u8>,
+    windows: BTreeMap<KeyOfWindow, u8>,
+    ordered_modes: BTreeMap<KeyOfWindow, u8>,
     /// First sample of the replay; 0 for a recording of a whole session.
     begin_sample: u64,
 }
@@ -125,6 +126,20 @@ impl ReplayMarks {
 
     fn key(&self, first_sample: u64) -> KeyOfWindow {
         KeyOfWindow { epoch: self.epochs.epoch, first_sample }
+    }
+
+    /// The first sample of the first window that begins with one of these; `None` if there is none.
+    pub fn window_from(&self, first_samples: Range<u64>) -> Option<u64> {
+        if first_samples.is_empty() {
+            return None;
+        }
+        let mut windows = self.windows.range(self.key(first_samples.start)..self.key(first_samples.end));
+        windows.next().map(|(key, _)| key.first_sample)
+    }
+
+    /// Whether the recording holds nothing that was made of any window, so that it does not tell which were left out.
+    pub fn is_empty(&self) -> bool {
+        self.windows.is_empty()
     }
 }
 
@@ -198,7 +213,7 @@ impl Gathered {
         let (predicted, commanded) = (keys(&self.predictions), keys(&self.commands));
         // What a later stage made of a window, the ones before it had taken, also if the recording lacks their word for it.
         let known = keys(&self.windows).into_iter().chain(predicted.clone()).chain(commanded.clone());
-        let mut windows: HashMap<KeyOfWindow, u8> = known
+        let mut windows: BTreeMap<KeyOfWindow, u8> = known
             .map(|key| {
                 let mark = match (predicted.contains(&key), commanded.contains(&key)) {
                     (_, true) => 0,

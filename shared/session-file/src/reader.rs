@@ -1,4 +1,9 @@
-//! Reading the file of a session, also one that was cut: all that lies in whole chunks.
+//! Reading the file of a session, also one that was cut or damaged: all that lies in whole chunks.
+//!
+//! ```text
+//! records of the file: header, metadata, attachments, chunks ──checksum──▶ records of the chunk: channels, messages
+//!                                                        └── wrong: left out and counted; what comes behind is read
+//! ```
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -6,7 +11,7 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::McapError;
-use mcap::records::Record as McapRecord;
+use mcap::records::{Record as McapRecord, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use crate::block::Block;
@@ -47,7 +52,7 @@ pub enum SessionFileError {
         version: String,
     },
     /// What every such file begins with is missing.
-    #[error("{}: the recording was cut before its beginning was written: it holds no {what}", path.display())]
+    #[error("{}: the recording was cut or damaged at its beginning: it holds no {what}", path.display())]
     Beginning {
         /// The file.
         path: PathBuf,
@@ -90,6 +95,8 @@ pub struct Head {
     pub configuration: String,
     /// The other attached files, by name.
     pub files: BTreeMap<String, Vec<u8>>,
+    /// Whether all of it is there. `false` where the file is damaged or cut in it, so that a file may be missing.
+    pub is_whole: bool,
 }
 
 impl Head {
@@ -108,9 +115,13 @@ impl Head {
                 }
                 Record::Attachment { name, bytes } => drop(head.files.insert(name, bytes)),
                 Record::Metadata { .. } => {}
-                Record::Message(_) => break,
+                Record::Message(_) => {
+                    head.is_whole = true;
+                    break;
+                }
             }
         }
+        head.is_whole = (head.is_whole || reader.is_whole()) && reader.damaged_pieces() == 0;
         if head.configuration.is_empty() {
             return Err(SessionFileError::Beginning { path: path.to_owned(), what: "configuration" });
         }
@@ -118,17 +129,21 @@ impl Head {
     }
 }
 
-/// Reads a file from its beginning to its end, or to where it was cut or damaged. It never panics, whatever the file holds.
+/// Reads a file from its beginning to its end, or to where it was cut. What is damaged is left out. It never panics, whatever
+/// the file holds.
 pub struct Reader<R> {
     input: R,
     path: PathBuf,
     records: LinearReader,
+    /// Those of the chunk that is being read.
+    chunk: Option<LinearReader>,
     /// By the id in the file.
     channels: HashMap<u16, ChannelKind>,
     with_samples: bool,
     has_header: bool,
     is_over: bool,
     is_whole: bool,
+    damaged_pieces: u64,
     bytes_read: u64,
 }
 
@@ -154,20 +169,17 @@ impl Reader<BufReader<File>> {
 impl<R: Read> Reader<R> {
     /// Reads from `input`; `path` is for messages.
     pub fn new(input: R, path: &Path) -> Reader<R> {
-        // A chunk is looked at only when it is whole and its checksum is right.
-        let options = LinearReaderOptions::default()
-            .with_prevalidate_chunk_crcs(true)
-            .with_skip_end_magic(true)
-            .with_record_length_limit(LONGEST_RECORD);
         Reader {
             input,
             path: path.to_owned(),
-            records: LinearReader::new_with_options(options),
+            records: LinearReader::new_with_options(options().with_emit_chunks(true)),
+            chunk: None,
             channels: HashMap::new(),
             with_samples: true,
             has_header: false,
             is_over: false,
             is_whole: false,
+            damaged_pieces: 0,
             bytes_read: 0,
         }
     }
@@ -181,6 +193,11 @@ impl<R: Read> Reader<R> {
     /// Whether the end was reached that [`crate::Writer::finish`] wrote. `false` for a file that was cut, or is not read yet.
     pub fn is_whole(&self) -> bool {
         self.is_whole
+    }
+
+    /// Pieces, each a chunk or an attached file, that are damaged and were left out so far.
+    pub fn damaged_pieces(&self) -> u64 {
+        self.damaged_pieces
     }
 
     /// Bytes read so far.
@@ -203,8 +220,8 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// The next record; `None` at the end, or where the file was cut or is damaged. Messages that are none of ours are passed
-    /// over.
+    /// The next record; `None` at the end, or where the file was cut. What is damaged and messages that are none of ours are
+    /// passed over.
     ///
     /// # Errors
     ///
@@ -212,6 +229,9 @@ impl<R: Read> Reader<R> {
     #[expect(clippy::should_implement_trait, reason = "it can fail, and is read with `while let`")]
     pub fn next(&mut self) -> Result<Option<Record>, SessionFileError> {
         while !self.is_over {
+            if let Some(message) = self.next_of_chunk() {
+                return Ok(Some(Record::Message(message)));
+            }
             let (opcode, data) = match self.records.next_event() {
                 None | Some(Err(McapError::UnexpectedEof)) => break,
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
@@ -225,28 +245,23 @@ impl<R: Read> Reader<R> {
                     continue;
                 }
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data),
-                // Damaged: what comes behind cannot be told apart any more.
-                Some(Err(_)) => break,
+                // Nothing tells where the next record begins.
+                Some(Err(_)) => {
+                    self.damaged_pieces += 1;
+                    break;
+                }
             };
-            let Ok(record) = mcap::parse_record(opcode, data) else { break };
-            match record {
-                McapRecord::Header(header) if header.profile != PROFILE => break,
-                McapRecord::Header(_) => self.has_header = true,
-                McapRecord::Channel(channel) => {
-                    let kind = CHANNELS.into_iter().find(|kind| kind.topic() == channel.topic);
-                    self.channels.extend(kind.map(|kind| (channel.id, kind)));
-                }
-                McapRecord::Message { header, data } => {
-                    let kind = self.channels.get(&header.channel_id);
-                    let message = kind.and_then(|kind| message(*kind, &data, self.with_samples));
-                    if let Some(message) = message {
-                        return Ok(Some(Record::Message(message)));
-                    }
-                }
-                McapRecord::Attachment { header, data, .. } => {
+            if opcode == op::CHUNK {
+                self.chunk = Some(records_of(data));
+                continue;
+            }
+            match mcap::parse_record(opcode, data) {
+                Ok(McapRecord::Header(header)) if header.profile != PROFILE => break,
+                Ok(McapRecord::Header(_)) => self.has_header = true,
+                Ok(McapRecord::Attachment { header, data, .. }) => {
                     return Ok(Some(Record::Attachment { name: header.name, bytes: data.into_owned() }));
                 }
-                McapRecord::Metadata(metadata) => {
+                Ok(McapRecord::Metadata(metadata)) => {
                     let (name, facts) = (metadata.name, metadata.metadata);
                     let version = facts.get("version").filter(|_| name == "session");
                     if let Some(version) = version.filter(|version| *version != VERSION) {
@@ -256,11 +271,13 @@ impl<R: Read> Reader<R> {
                     return Ok(Some(Record::Metadata { name, facts }));
                 }
                 // Behind it comes the index, which says nothing new.
-                McapRecord::DataEnd(_) => {
+                Ok(McapRecord::DataEnd(_)) => {
                     self.is_whole = true;
                     break;
                 }
-                _ => {}
+                Ok(McapRecord::MessageIndex(_)) => {}
+                // No writer of ours writes anything else outside a chunk.
+                Ok(_) | Err(_) => self.damaged_pieces += 1,
             }
         }
         self.is_over = true;
@@ -269,6 +286,72 @@ impl<R: Read> Reader<R> {
         }
         Err(SessionFileError::NotOne { path: self.path.clone() })
     }
+
+    /// The next message of the chunk; `None` at its end.
+    fn next_of_chunk(&mut self) -> Option<Message> {
+        let records = self.chunk.as_mut()?;
+        loop {
+            let record = match records.next_event() {
+                // All of it is there.
+                Some(Ok(LinearReadEvent::ReadRequest(_))) => {
+                    records.notify_read(0);
+                    continue;
+                }
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => mcap::parse_record(opcode, data),
+                Some(Err(error)) => Err(error),
+                None => break,
+            };
+            match record {
+                Ok(McapRecord::Channel(channel)) => {
+                    let kind = CHANNELS.into_iter().find(|kind| kind.topic() == channel.topic);
+                    self.channels.extend(kind.map(|kind| (channel.id, kind)));
+                }
+                Ok(McapRecord::Message { header, data }) => {
+                    let kind = kind_of(&self.channels, header.channel_id);
+                    let message = kind.and_then(|kind| message(kind, &data, self.with_samples));
+                    if message.is_some() {
+                        return message;
+                    }
+                }
+                Ok(_) => {}
+                Err(_) => {
+                    self.damaged_pieces += 1;
+                    break;
+                }
+            }
+        }
+        self.chunk = None;
+        None
+    }
+}
+
+/// A chunk is looked at only when it is whole and its checksum is right.
+fn options() -> LinearReaderOptions {
+    LinearReaderOptions::default()
+        .with_prevalidate_chunk_crcs(true)
+        .with_skip_end_magic(true)
+        .with_record_length_limit(LONGEST_RECORD)
+}
+
+/// Reads the records of a chunk, which it checks first.
+fn records_of(chunk: &[u8]) -> LinearReader {
+    let mut records = LinearReader::new_with_options(options().with_skip_start_magic(true));
+    let length = (chunk.len() as u64).to_le_bytes();
+    let record = records.insert(1 + length.len() + chunk.len());
+    record[0] = op::CHUNK;
+    record[1..][..length.len()].copy_from_slice(&length);
+    record[1 + length.len()..].copy_from_slice(chunk);
+    let written = record.len();
+    records.notify_read(written);
+    records
+}
+
+/// What the file says of this channel; where the piece that says it is damaged, as [`crate::Writer`] numbers them.
+fn kind_of(channels: &HashMap<u16, ChannelKind>, id: u16) -> Option<ChannelKind> {
+    if channels.is_empty() {
+        return CHANNELS.get(usize::from(id).checked_sub(1)?).copied();
+    }
+    channels.get(&id).copied()
 }
 
 /// Reads a message; `None` for what no writer of ours writes.

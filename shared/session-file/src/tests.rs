@@ -196,6 +196,48 @@ fn a_file_that_was_cut_anywhere_gives_what_lies_in_its_whole_chunks() {
 }
 
 #[test]
+fn a_damaged_byte_spoils_its_chunk_alone() {
+    /// Bytes of a chunk before its records: opcode, length, two times, size, checksum, compression, size.
+    const HEAD: u64 = 1 + 8 + 8 + 8 + 8 + 4 + 4 + 8;
+    let session = undisturbed(8);
+    let whole = session.file(3);
+    let summary = mcap::Summary::read(&whole).unwrap().unwrap();
+    let chunks: Vec<std::ops::Range<u64>> = summary
+        .chunk_indexes
+        .iter()
+        .map(|chunk| chunk.chunk_start_offset + HEAD..chunk.chunk_start_offset + chunk.chunk_length)
+        .collect();
+    // The first one says which channels there are.
+    assert!(chunks.len() > session.messages.len() / 3, "{chunks:?}");
+    for place in 8..whole.len() {
+        let mut bytes = whole.clone();
+        bytes[place] ^= 0x10;
+        let mut reader = Reader::new(bytes.as_slice(), Path::new("session.mcap"));
+        let mut messages = Vec::new();
+        while let Ok(Some(message)) = reader.next_message() {
+            messages.push(message);
+        }
+        let is_missing = messages.len() < session.messages.len();
+        let mut expected = session.messages.iter();
+        assert!(messages.iter().all(|message| expected.any(|other| other == message)), "byte {place}");
+        if chunks.iter().any(|chunk| chunk.contains(&(place as u64))) {
+            assert!(messages.len() + 3 >= session.messages.len(), "byte {place}");
+            assert_eq!((reader.damaged_pieces(), reader.is_whole()), (1, true), "byte {place}");
+        } else if is_missing {
+            assert!(reader.damaged_pieces() > 0 || !reader.is_whole(), "byte {place}");
+        }
+    }
+}
+
+#[test]
+fn no_chunk_is_large_however_fast_the_messages_come() {
+    let bytes = undisturbed(2000).file(usize::MAX);
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let largest = summary.chunk_indexes.iter().map(|chunk| chunk.chunk_length).max().unwrap();
+    assert!(bytes.len() > 500_000 && largest < 110_000, "{largest} of {}", bytes.len());
+}
+
+#[test]
 fn what_is_no_file_of_a_session_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("other.mcap");

@@ -13,6 +13,9 @@ use crate::records::Message;
 use crate::schemas::{BLOCK_ENCODING, CHANNELS, ChannelKind, JSON_ENCODING};
 use crate::{PROFILE, VERSION};
 
+/// Bytes after which a chunk is closed, whatever the time: what a damaged byte spoils in a replay at full speed.
+const LARGEST_CHUNK: u64 = 96 << 10;
+
 /// The file cannot be written any further.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
@@ -61,6 +64,7 @@ impl<W: Write + Seek> Writer<W> {
     pub fn begin(output: W, name: &str, now_ns: u64) -> Result<Writer<W>, WriteError> {
         // Each chunk is gathered in memory and written at once: a file that was cut has whole ones and one piece.
         let options = WriteOptions::new().compression(None).profile(PROFILE).disable_seeking(true);
+        let options = options.chunk_size(Some(LARGEST_CHUNK));
         let mut file = options.create(output)?;
         let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let offset_ns = (since_1970.as_nanos() as u64).saturating_sub(now_ns);

@@ -558,6 +558,10 @@ impl<'a> Watch<'a> {
         let status = status.map_or_else(|| "gone".to_owned(), |status| status.to_string());
         if let Some(report) = report {
             match &report.error {
+                // Its own reason says so where the file is gone.
+                Some(error) if !report.path.exists() => {
+                    self.note(format!("the recording has stopped: {error}; the session goes on"));
+                }
                 Some(error) => self.note(format!(
                     "the recording has stopped: {error}; the session goes on. {} holds what was written until then",
                     report.path.display()

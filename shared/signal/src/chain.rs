@@ -264,6 +264,13 @@ impl SignalChain {
         self.windower.write_window(out);
     }
 
+    /// Lets a window end after `samples` more samples of every channel, at least 1, and the others follow from there. Nothing
+    /// changes if it is a whole number of increments from the next one anyway. For who knows where the windows of a
+    /// recording began.
+    pub fn align_windows(&mut self, samples: usize) {
+        self.windower.align(samples);
+    }
+
     /// Tells the chain that `lost_samples` samples of every channel are missing before the next ones. No
     /// window spans the gap, and movement must be detected anew. The filter continues as if nothing were
     /// missing, which disturbs it less than a restart.

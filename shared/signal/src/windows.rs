@@ -128,6 +128,13 @@ impl Windower {
         self.until_window = self.window;
     }
 
+    /// Lets a window end after `samples` more samples, if it is not a whole number of increments from the next one anyway.
+    pub(crate) fn align(&mut self, samples: usize) {
+        if !samples.abs_diff(self.until_window).is_multiple_of(self.increment) {
+            self.until_window = samples;
+        }
+    }
+
     /// Writes the newest `window` samples, oldest first, as `[channels × window]`.
     ///
     /// # Panics

@@ -146,13 +146,13 @@ impl Acquisition {
         process.measurements.counts.lost_samples += lost_samples;
         process.measurements.counts.stale += lost_samples.div_ceil(self.block_samples as u64);
         self.next_sample = block.first_sample + block.samples as u64;
-        let is_stale = now_ns().saturating_sub(block.captured_ns) > STALE_NS;
-        if is_stale && self.delivery == Delivery::Live {
+        let trace = Trace { captured_ns: block.captured_ns, ..Trace::default() };
+        if self.delivery == Delivery::Live && trace.is_stale(STALE_NS, now_ns()) {
             process.measurements.counts.stale += 1;
             return Ok(());
         }
         let header = BlockHeader {
-            trace: Trace { captured_ns: block.captured_ns, ..Trace::default() },
+            trace,
             first_sample: block.first_sample,
             sample_rate_hz: self.sample_rate_hz,
             truth: block.truth,

@@ -20,6 +20,7 @@
 mod acquire;
 mod assemble;
 mod clock;
+mod loss;
 mod offer;
 mod paced;
 
@@ -32,6 +33,7 @@ use tendon_messages::Truth;
 pub use acquire::{AcquireError, acquire, open_blocks};
 pub use assemble::{BlockAssembler, Chunk};
 pub use clock::DeviceClock;
+pub use loss::LossByTime;
 pub use offer::{Choice, Offer, OfferError, OfferedChannel};
 pub use paced::{BlockMaker, MadeBlock, Pace, Paced};
 pub use tendon_signal::{UnitError, canonical_unit, unit_factor};

@@ -4,15 +4,15 @@ use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::ensure;
 use serde_json::Value;
 use tendon_classifier::trained_on;
-use tendon_export::{TABLES, participant_of};
+use tendon_export::{TABLES, is_unfinished_export, participant_of};
 use tendon_features::Cohort;
-use tendon_output::OutputFile;
+use tendon_output::{OutputFile, is_temporary};
 use tendon_people::{PersonName, name_in};
 use tendon_recordings::RecordedSession;
-use tendon_session_file::{Head, PERSON, is_session_file};
+use tendon_session_file::{FILE_NAME, Head, PERSON, is_session_file};
 
 use super::bytes_below;
 
@@ -20,6 +20,11 @@ use super::bytes_below;
 const DEEPEST: usize = 32;
 /// Largest file whose text is looked at.
 const LARGEST_TEXT: u64 = 64 << 20;
+
+/// Endings of files that may be a person's.
+const KINDS: [&str; 8] = ["mcap", "xdf", "bdf", "toml", "person", "tendon-prior", "onnx", "json"];
+/// The file that a data set has beside its manifest.
+const WINDOWS: &str = "windows.npy";
 
 /// Something that is kept of a person.
 #[derive(Debug)]
@@ -55,7 +60,9 @@ impl Kept {
             How::Folder => gone(fs::remove_dir_all(&self.path)),
             How::Files(files) => {
                 files.iter().try_for_each(|file| gone(fs::remove_file(file)))?;
-                remove_if_empty(&self.path);
+                // A file in a BIDS data set lies in folders of its subject, its session and its kind.
+                let depth = if files.contains(&self.path) { 4 } else { 1 };
+                self.path.ancestors().take(depth).for_each(remove_if_empty);
                 Ok(())
             }
             How::Participant { table, id } => {
@@ -85,6 +92,8 @@ pub struct Found {
     pub kept: Vec<Kept>,
     /// What learnt from the person, and others with it.
     pub left: Vec<(PathBuf, String)>,
+    /// What could not be looked at, and why.
+    pub unknown: Vec<(PathBuf, String)>,
 }
 
 impl Found {
@@ -104,31 +113,51 @@ impl Found {
         }
     }
 
-    /// Looks through `folder` and all folders below.
-    pub fn search(&mut self, folder: &Path, name: &PersonName) -> anyhow::Result<()> {
-        self.search_to(folder, name, DEEPEST)
+    /// Looks through `folder` and all folders below. What cannot be looked at is named in `unknown`.
+    pub fn search(&mut self, folder: &Path, name: &PersonName) {
+        self.search_to(folder, name, DEEPEST);
     }
 
-    fn search_to(&mut self, folder: &Path, name: &PersonName, deepest: usize) -> anyhow::Result<()> {
+    fn search_to(&mut self, folder: &Path, name: &PersonName, deepest: usize) {
         if self.kept.iter().any(|kept| folder.starts_with(&kept.path) && matches!(kept.how, How::Folder)) {
-            return Ok(());
+            return;
+        }
+        if is_unfinished_export(folder) {
+            self.take_unfinished(folder, name);
+            return;
         }
         if self.take_folder(folder, name) {
-            return Ok(());
+            return;
         }
-        let entries =
-            fs::read_dir(folder).with_context(|| format!("cannot look into {}", folder.display()))?;
+        let entries = match fs::read_dir(folder) {
+            Ok(entries) => entries,
+            Err(error) => return self.cannot_read(folder, &error),
+        };
         let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
         paths.sort();
         for path in paths {
             let Ok(metadata) = path.symlink_metadata() else { continue };
             if metadata.is_dir() && deepest > 0 {
-                self.search_to(&path, name, deepest - 1)?;
+                self.search_to(&path, name, deepest - 1);
             } else if metadata.is_file() {
                 self.take_file(&path, name);
             }
         }
-        Ok(())
+    }
+
+    /// Takes what an export of the person that was killed has left.
+    fn take_unfinished(&mut self, folder: &Path, name: &PersonName) {
+        let session = json(&folder.join("session.json"));
+        let participants = text(&folder.join("participants.tsv"));
+        if session.is_none() && participants.is_none() {
+            let why = "an export that was broken off; it does not tell whose it is".to_owned();
+            return note(&mut self.unknown, folder, why);
+        }
+        let is_table = session.is_some_and(|session| session["person"] == name.as_str());
+        let participant = participants.and_then(|text| participant_of(&text, name.as_str()));
+        if is_table || participant.is_some_and(|id| folder.join(id).is_dir()) {
+            self.add(folder, "an export that was broken off", How::Folder);
+        }
     }
 
     /// Takes a folder that is the person's as a whole; whether it is.
@@ -164,56 +193,86 @@ impl Found {
         if self.kept.iter().any(is_covered) {
             return;
         }
+        let name_of_file = path.file_name().unwrap_or_default();
         let ending = path.extension().unwrap_or_default().to_string_lossy().into_owned();
+        if KINDS.contains(&ending.as_str())
+            && let Err(error) = tendon_input::open(path)
+        {
+            return self.cannot_read(path, &error);
+        }
         match ending.as_str() {
-            "mcap" if is_session_file(path) => {
-                let person = Head::read(path).ok().and_then(|mut head| head.files.remove(PERSON));
-                let person = person.and_then(|person| name_in(&String::from_utf8_lossy(&person)));
-                if person.as_ref() == Some(name) {
-                    self.add(path, "a recorded session", How::File);
-                }
+            "mcap" if is_session_file(path) || name_of_file == FILE_NAME => self.take_recording(path, name),
+            "xdf" if is_xdf_of(path, name) => self.add(path, "a session as XDF", How::File),
+            "bdf" if is_bdf_of(path, name) => {
+                self.add(path, "a session as BDF", How::Files(with_sidecars(path)));
             }
-            "xdf" if beginning(path).contains(&format!("<person>{name}</person>")) => {
-                self.add(path, "a session as XDF", How::File);
+            "toml" | "person" if is_person_file_of(path, name) => self.add(path, "a person file", How::File),
+            // What a program that was killed was writing.
+            _ if is_temporary(name_of_file) && (is_xdf_of(path, name) || is_person_file_of(path, name)) => {
+                self.add(path, "a file that was not written to its end", How::File);
             }
-            "toml" | "person" => {
-                let text = text(path).filter(|text| text.starts_with("format = \"tendon-person\""));
-                if text.and_then(|text| name_in(&text)).as_ref() == Some(name) {
-                    self.add(path, "a person file", How::File);
-                }
-            }
-            "tendon-prior" => {
-                let cohort = tendon_input::read(path, LARGEST_TEXT)
-                    .ok()
-                    .and_then(|bytes| Cohort::from_bytes(&bytes).ok());
-                let is_member = |cohort: Cohort| {
-                    cohort.members().any(|member| member.data_set.is_empty() && member.person == name.id())
-                };
-                if cohort.is_some_and(is_member) {
-                    self.leave(path, format!("a prior that {name} has a part in"));
-                }
-            }
-            "onnx" => {
-                let people = trained_on(path).map(|trained| trained.people_of(None).contains(&name.id()));
-                if people.unwrap_or(false) {
-                    self.leave(path, format!("a model that was trained on {name}"));
-                }
-            }
-            "json" => {
-                let of_person = |json: Value| json["windows_per_person"].get(name.as_str()).is_some();
-                let is_own = |json: &Value| json["data_set"].is_null();
-                if json(path).filter(is_own).is_some_and(of_person) {
-                    self.leave(path, format!("a data set with windows of {name}"));
-                }
-            }
+            "tendon-prior" => self.take_prior(path, name),
+            "onnx" => self.take_model(path, name),
+            "json" => self.take_data_set(path, name),
             _ => {}
         }
     }
 
-    /// Says what stays. It may be found twice, in folders that overlap.
-    fn leave(&mut self, path: &Path, what: String) {
-        if self.left.iter().all(|(known, _)| known != path) {
-            self.left.push((path.to_owned(), what));
+    fn take_recording(&mut self, path: &Path, name: &PersonName) {
+        let damaged = || "a recording that is damaged; it does not tell whose it is".to_owned();
+        let Ok(mut head) = Head::read(path) else { return note(&mut self.unknown, path, damaged()) };
+        match head.files.remove(PERSON).map(|person| name_in(&String::from_utf8_lossy(&person))) {
+            Some(Some(person)) if person == *name => self.add(path, "a recorded session", How::File),
+            Some(Some(_)) => {}
+            None if head.is_whole => {}
+            None | Some(None) => note(&mut self.unknown, path, damaged()),
+        }
+    }
+
+    fn take_prior(&mut self, path: &Path, name: &PersonName) {
+        let bytes = tendon_input::read(path, LARGEST_TEXT).ok();
+        let Some(cohort) = bytes.and_then(|bytes| Cohort::from_bytes(&bytes).ok()) else { return };
+        let members: Vec<bool> =
+            cohort.members().map(|member| member.data_set.is_empty() && member.person == name.id()).collect();
+        if members.iter().all(|is_person| *is_person) && !members.is_empty() {
+            self.add(path, "a prior of this person alone", How::File);
+        } else if members.contains(&true) {
+            note(&mut self.left, path, format!("a prior that {name} has a part in"));
+        }
+    }
+
+    fn take_model(&mut self, path: &Path, name: &PersonName) {
+        let Ok(trained) = trained_on(path) else { return };
+        let people = trained.people_of(None);
+        if trained.is_own() && people.iter().all(|person| *person == name.id()) && !people.is_empty() {
+            self.add(path, "a model of this person alone", How::File);
+        } else if people.contains(&name.id()) {
+            note(&mut self.left, path, format!("a model that was trained on {name}"));
+        }
+    }
+
+    /// Takes a data set by its manifest.
+    fn take_data_set(&mut self, path: &Path, name: &PersonName) {
+        let Some(manifest) = json(path).filter(|json| json["data_set"].is_null()) else { return };
+        let Some(people) = manifest["windows_per_person"].as_object() else { return };
+        if !people.contains_key(name.as_str()) {
+            return;
+        }
+        let folder = path.parent().filter(|folder| folder.join(WINDOWS).is_file());
+        match folder {
+            Some(folder) if people.len() == 1 => {
+                let files = tendon_dataset::FILES.iter().map(|file| folder.join(file));
+                let files = files.filter(|file| file.is_file()).collect();
+                self.add(folder, "a data set of this person alone", How::Files(files));
+            }
+            _ => note(&mut self.left, path, format!("a data set with windows of {name}")),
+        }
+    }
+
+    fn cannot_read(&mut self, path: &Path, error: &std::io::Error) {
+        // Of a process that ended meanwhile, for instance.
+        if error.kind() != ErrorKind::NotFound {
+            note(&mut self.unknown, path, error.to_string());
         }
     }
 
@@ -227,6 +286,40 @@ impl Found {
         };
         self.kept.push(Kept { path: path.to_owned(), what, bytes, how });
     }
+}
+
+/// Notes something about a path. It may be found twice, in folders that overlap.
+fn note(notes: &mut Vec<(PathBuf, String)>, path: &Path, text: String) {
+    if notes.iter().all(|(known, _)| known != path) {
+        notes.push((path.to_owned(), text));
+    }
+}
+
+fn is_xdf_of(path: &Path, name: &PersonName) -> bool {
+    let beginning = beginning(path);
+    beginning.starts_with("XDF:") && beginning.contains(&format!("<person>{name}</person>"))
+}
+
+fn is_person_file_of(path: &Path, name: &PersonName) -> bool {
+    let text = text(path).filter(|text| text.starts_with("format = \"tendon-person\""));
+    text.and_then(|text| name_in(&text)).as_ref() == Some(name)
+}
+
+/// Whether it is a session of the person that Tendon exported, wherever it lies: its header names patient and equipment.
+fn is_bdf_of(path: &Path, name: &PersonName) -> bool {
+    let beginning = beginning(path);
+    beginning.contains(&format!("BIOSEMI{name} X X X ")) && beginning.contains(" X X Tendon")
+}
+
+/// The file, and those beside it of the same recording: `sub-anna_task-zones_emg.bdf`, `…_events.tsv`.
+fn with_sidecars(recording: &Path) -> Vec<PathBuf> {
+    let file = recording.file_name().unwrap_or_default().to_string_lossy();
+    let Some(beginning) = file.strip_suffix("emg.bdf") else { return vec![recording.to_owned()] };
+    let beside =
+        recording.parent().and_then(|folder| fs::read_dir(folder).ok()).into_iter().flatten().flatten();
+    let is_of_it =
+        |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(beginning));
+    beside.map(|entry| entry.path()).filter(is_of_it).collect()
 }
 
 fn text(path: &Path) -> Option<String> {
@@ -298,9 +391,9 @@ mod tests {
         let name: PersonName = "anna".parse().unwrap();
         let mut found = Found::default();
         found.take_person(&inside.join("anna")).unwrap();
-        found.search(&inside, &name).unwrap();
+        found.search(&inside, &name);
         // Once more, as with a folder that is named twice.
-        found.search(&inside, &name).unwrap();
+        found.search(&inside, &name);
         let mut paths: Vec<&Path> =
             found.kept.iter().map(|kept| kept.path.strip_prefix(&inside).unwrap()).collect();
         paths.sort();
@@ -325,10 +418,89 @@ mod tests {
         let participants = fs::read_to_string(inside.join("study/participants.tsv")).unwrap();
         assert_eq!(participants, "participant_id\tpseudonym\nsub-ben\tben\n");
         let mut again = Found::default();
-        again.search(&inside, &name).unwrap();
+        again.search(&inside, &name);
         assert!(again.kept.is_empty(), "{:?}", again.kept);
         // A person whose folder is a link is left to its owner.
         symlink(&outside, inside.join("anna")).unwrap();
         assert!(again.take_person(&inside.join("anna")).is_err());
+    }
+
+    #[test]
+    fn what_is_damaged_or_unfinished_or_cannot_be_read_is_deleted_or_named() {
+        let place = tempfile::tempdir().unwrap();
+        let inside = place.path();
+        session_of(&inside.join("whole/session.mcap"), "anna");
+        let bytes = fs::read(inside.join("whole/session.mcap")).unwrap();
+        let text = bytes.windows(4).position(|part| part == b"anna").unwrap();
+        for (folder, place) in [("person", text), ("magic", 1), ("profile", 20)] {
+            let mut damaged = bytes.clone();
+            damaged[place] ^= 1;
+            fs::create_dir(inside.join(folder)).unwrap();
+            fs::write(inside.join(folder).join("session.mcap"), damaged).unwrap();
+        }
+        session_of(&inside.join("other/session.mcap"), "ben");
+        write(&inside.join("tables/.tendon-a1b2c3/session.json"), r#"{"person":"anna","recording":{}}"#);
+        write(&inside.join("tables/.tendon-a1b2c3/signal.csv"), "time_s\n");
+        let people = "participant_id\tpseudonym\nsub-anna\tanna\nsub-ben\tben\n";
+        for (folder, subject) in [("study/.tendon-a1b2c3", "sub-anna"), ("study/.tendon-d4e5f6", "sub-ben")] {
+            write(&inside.join(folder).join("participants.tsv"), people);
+            write(&inside.join(folder).join(subject).join("emg/x_emg.bdf"), "");
+        }
+        write(&inside.join("old/.tendon-a1b2c3/signal.csv"), "time_s\n");
+        write(&inside.join(".tendon-x1y2z3"), "XDF:<info><person>anna</person></info>");
+        // Of a data set whose table of people was emptied.
+        let bdf = "BIOSEMIanna X X X                Startdate 04-MAY-2026 X X Tendon_1.2.3";
+        write(&inside.join("lost/sub-anna/ses-1/emg/sub-anna_ses-1_task-a_emg.bdf"), bdf);
+        write(&inside.join("lost/sub-anna/ses-1/emg/sub-anna_ses-1_task-a_events.tsv"), "");
+        write(&inside.join("lost/participants.tsv"), "");
+        write(&inside.join("set/manifest.json"), r#"{"data_set":null,"windows_per_person":{"anna":3}}"#);
+        write(&inside.join("set/windows.npy"), "");
+        let name: PersonName = "anna".parse().unwrap();
+        let mut found = Found::default();
+        found.search(inside, &name);
+        found.cannot_read(&inside.join("locked"), &ErrorKind::PermissionDenied.into());
+        let relative = |paths: Vec<&PathBuf>| -> Vec<String> {
+            let mut paths: Vec<String> = paths
+                .iter()
+                .map(|path| path.strip_prefix(inside).unwrap().to_string_lossy().into_owned())
+                .collect();
+            paths.sort();
+            paths
+        };
+        assert_eq!(
+            relative(found.kept.iter().map(|kept| &kept.path).collect()),
+            [
+                ".tendon-x1y2z3",
+                "lost/sub-anna/ses-1/emg/sub-anna_ses-1_task-a_emg.bdf",
+                "set",
+                "study/.tendon-a1b2c3",
+                "tables/.tendon-a1b2c3",
+                "whole/session.mcap",
+                "whole/session.toml",
+            ]
+        );
+        assert_eq!(
+            relative(found.unknown.iter().map(|(path, _)| path).collect()),
+            [
+                "locked",
+                "magic/session.mcap",
+                "old/.tendon-a1b2c3",
+                "person/session.mcap",
+                "profile/session.mcap"
+            ]
+        );
+        assert!(found.left.is_empty(), "{:?}", found.left);
+        found.kept.iter().for_each(|kept| kept.delete().unwrap());
+        for gone in [
+            ".tendon-x1y2z3",
+            "lost/sub-anna",
+            "set",
+            "study/.tendon-a1b2c3",
+            "tables/.tendon-a1b2c3",
+            "whole",
+        ] {
+            assert!(!inside.join(gone).exists(), "{gone}");
+        }
+        assert!(inside.join("study/.tendon-d4e5f6").exists() && inside.join("other/session.mcap").exists());
     }
 }

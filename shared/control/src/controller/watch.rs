@@ -41,6 +41,13 @@ impl Controller {
                 .is_some_and(|heard_ns| now_ns.saturating_sub(heard_ns) > SUPERVISOR_SILENCE_NS)
     }
 
+    /// Whether fresh commands came in this session and come no more. Before the first, the stages may not be ready.
+    fn are_commands_missing(&self, now_ns: u64) -> bool {
+        let longest_ns = self.settings.arm.watchdog_ms * 1_000_000;
+        self.settings.stale_ns.is_some()
+            && self.fresh_command_ns.is_some_and(|came_ns| now_ns.saturating_sub(came_ns) > longest_ns)
+    }
+
     /// A controller that stood still while its arm moved must not go on where it was: the arm has come to rest.
     pub(super) fn notice_stall(&mut self, now_ns: u64) {
         let woke_ns = self.woke_ns.replace(now_ns).unwrap_or(now_ns);
@@ -75,6 +82,10 @@ impl Controller {
                 return self.stop(Stop::because(StopReason::SupervisorSilent));
             }
             self.interrupt(StopReason::SupervisorSilent);
+        }
+        // Where the arm follows commands, its own watchdog brings it to rest.
+        if matches!(self.phase, Phase::GoingToStart(_)) && self.are_commands_missing(now_ns) {
+            return self.stop(Stop::because(StopReason::NoCommands));
         }
         let is_moving_phase = matches!(self.phase, Phase::GoingToStart(_) | Phase::Following);
         if is_moving_phase && report.silent_ns > CONNECTION_SILENCE_NS {

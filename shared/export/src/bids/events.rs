@@ -21,7 +21,7 @@ pub(super) struct BidsEvent {
 pub(super) fn gather(
     survey: &Survey,
     record_samples: usize,
-    has_read: &mut impl FnMut(u64),
+    has_read: &mut impl FnMut(u64) -> Result<(), ExportError>,
 ) -> Result<Vec<BidsEvent>, ExportError> {
     let mut chronicle = Chronicle::new(survey);
     let mut events = Vec::new();
@@ -34,7 +34,7 @@ pub(super) fn gather(
             Message::Cue(cue) => chronicle.cue(cue),
             Message::Window(_) | Message::Prediction(_) | Message::Command(_) | Message::Measurement(_) => {}
         }
-        has_read(reader.bytes_read());
+        has_read(reader.bytes_read())?;
     }
     events.extend(chronicle.finish().map(BidsEvent::from));
     events.extend(survey.unusable.iter().map(|span| BidsEvent {

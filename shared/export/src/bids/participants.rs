@@ -17,15 +17,20 @@ pub(super) struct Participants {
 }
 
 impl Participants {
-    /// Reads the table of the data set in `folder`; an empty one where there is none.
+    /// Reads the table of the data set in `folder`; one without people where there is none, or nothing in it.
     pub(super) fn read(folder: &Path) -> Result<Participants, ExportError> {
         let path = folder.join(FILE);
         let text = match std::fs::read_to_string(&path) {
+            Ok(text) if text.trim().is_empty() => HEADER.to_owned(),
             Ok(text) => text,
             Err(error) if error.kind() == ErrorKind::NotFound => HEADER.to_owned(),
             Err(source) => return Err(ExportError::Read { path, source }),
         };
-        Ok(Participants { lines: text.lines().map(str::to_owned).collect() })
+        let lines: Vec<String> = text.lines().map(str::to_owned).collect();
+        if !lines[0].split('\t').any(|column| column == "participant_id") {
+            return Err(ExportError::Participants { path });
+        }
+        Ok(Participants { lines })
     }
 
     /// The label of a person, who is added if they are not there. Two pseudonyms of the same letters and digits get two labels.
@@ -103,6 +108,26 @@ pub fn participant_of(table: &str, pseudonym: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_table_without_a_column_for_people_is_refused_and_an_empty_one_is_begun() {
+        let folder = tempfile::tempdir().unwrap();
+        for (text, is_table) in
+            [("", true), ("\n", true), ("age\n30\n", false), ("participant\tage\n", false)]
+        {
+            std::fs::write(folder.path().join(FILE), text).unwrap();
+            match Participants::read(folder.path()) {
+                Ok(mut participants) => {
+                    participants.subject(Some("anna"));
+                    assert!(is_table, "{text:?}");
+                    assert_eq!(participants.table(), "participant_id\tpseudonym\nsub-anna\tanna\n");
+                }
+                Err(error) => {
+                    assert!(!is_table && matches!(error, ExportError::Participants { .. }), "{error}")
+                }
+            }
+        }
+    }
 
     #[test]
     fn people_are_added_once_and_told_apart_and_other_columns_stay() {

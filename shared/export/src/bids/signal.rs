@@ -36,7 +36,7 @@ pub(super) fn write(
     signals: &[BdfSignal],
     events: &[BidsEvent],
     output: BufWriter<File>,
-    mut has_read: impl FnMut(u64),
+    mut has_read: impl FnMut(u64) -> Result<(), ExportError>,
 ) -> Result<(), ExportError> {
     let failed = ExportError::writing(&survey.path.with_extension("bdf"));
     let record = record_length(survey);
@@ -57,7 +57,7 @@ pub(super) fn write(
         if let Message::Block(block) = &message {
             records.take(block).map_err(&failed)?;
         }
-        has_read(reader.bytes_read());
+        has_read(reader.bytes_read())?;
     }
     records.finish().map_err(failed)
 }

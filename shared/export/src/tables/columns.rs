@@ -92,7 +92,11 @@ impl Columns {
             events: columns(&[
                 TIME,
                 ("kind", "", "session, note, recording (what it lacks), cue or arm (whether it may move)"),
-                ("text", "", "what was said; of a cue, the gesture"),
+                (
+                    "text",
+                    "",
+                    "what was said; of a cue, the gesture, or `is over` where nothing is asked for after it",
+                ),
             ]),
             trials: columns(&[
                 ("start_s", "s", "when the gesture was asked for"),

@@ -31,6 +31,8 @@ struct Recording {
     bytes: u64,
     /// `false` if the recorder was killed: what came after the last whole piece is missing.
     is_whole: bool,
+    /// Pieces of the file that are damaged and were left out.
+    damaged_pieces: u64,
 }
 
 /// Its text.
@@ -51,6 +53,7 @@ pub(super) fn session(survey: &Survey) -> Vec<u8> {
             file: survey.path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
             bytes: survey.bytes,
             is_whole: survey.is_whole,
+            damaged_pieces: survey.damaged_pieces,
         },
         provenance: &survey.provenance,
     };

@@ -9,8 +9,9 @@ use tendon_zones::TaskReport;
 
 use super::columns::{Columns, names};
 use crate::chronicle::{Chronicle, Happening, Taken, Trial};
+use crate::staging::Staging;
 use crate::table::Table;
-use crate::{ExportError, Staging, Survey};
+use crate::{ExportError, Survey};
 
 type FileTable = Table<BufWriter<File>>;
 

@@ -33,6 +33,26 @@ fn stale_commands_are_not_acted_on() {
 }
 
 #[test]
+fn commands_whose_samples_were_captured_in_the_future_are_not_acted_on() {
+    let mut rig = Rig::moving();
+    for ahead_ns in [2 * MS, 1000 * MS, u64::MAX / 2, u64::MAX] {
+        rig.pass(INCREMENT_MS);
+        let header = CommandHeader {
+            trace: Trace {
+                sequence: rig.sequence,
+                captured_ns: rig.now_ns.saturating_add(ahead_ns),
+                ..Trace::default()
+            },
+            gesture: Gesture::ULNAR.paper_number().unwrap(),
+            ..CommandHeader::default()
+        };
+        rig.sequence += 1;
+        assert_eq!(rig.controller.take(&header, &SIDEWAYS, rig.now_ns), Taken::Stale);
+    }
+    assert_eq!((rig.speed(), rig.reason()), (0.0, Some(StopReason::NoCommands)));
+}
+
+#[test]
 fn commands_of_a_decision_process_that_began_anew_stop_the_arm() {
     let mut rig = Rig::moving();
     rig.sequence = 0;

@@ -19,6 +19,45 @@ fn an_arm_left_in_good_order_goes_to_its_start_position_and_waits_for_a_rest() {
 }
 
 #[test]
+fn commands_that_cease_on_the_way_to_the_start_position_stop_the_arm() {
+    let mut rig = Rig::on_the_way();
+    rig.rest(3);
+    assert_eq!(rig.phase(), ArmPhase::GoingToStart);
+    rig.pass(150 - INCREMENT_MS);
+    assert_eq!(rig.phase(), ArmPhase::GoingToStart);
+    rig.pass(8);
+    rig.assert_stopped(StopReason::NoCommands);
+    rig.assert_arms();
+}
+
+#[test]
+fn stale_commands_on_the_way_to_the_start_position_are_none() {
+    let mut rig = Rig::on_the_way();
+    rig.command(Gesture::REST, &STILL);
+    for _ in 0..3 {
+        rig.pass(INCREMENT_MS);
+        let captured_ns = rig.now_ns - 200 * MS;
+        let trace = Trace { sequence: rig.sequence, captured_ns, ..Trace::default() };
+        rig.sequence += 1;
+        rig.controller.take(&CommandHeader { trace, ..CommandHeader::default() }, &STILL, rig.now_ns);
+    }
+    rig.assert_stopped(StopReason::NoCommands);
+}
+
+#[test]
+fn an_arm_that_is_sent_to_a_far_start_position_without_commands_stops_at_once() {
+    let mut joints_rad = ArmSettings::default().start_joints_rad();
+    joints_rad[0] += 30.0_f64.to_radians();
+    let mut rig = Rig::new(settings(), joints_rad, None);
+    rig.pass(100);
+    rig.rest(3);
+    rig.assert_stopped(StopReason::StartIsFar);
+    rig.pass(1000);
+    assert_eq!(rig.arm(), ArmAnswer::GoingToStart);
+    rig.assert_stopped(StopReason::NoCommands);
+}
+
+#[test]
 fn an_arm_that_another_program_sets_running_at_the_end_leaves_no_record() {
     let mut rig = Rig::moving();
     rig.rest(5);
@@ -89,7 +128,11 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
     rig.assert_stopped(StopReason::StartIsFar);
     // The question is whether it may go there.
     assert_eq!(rig.arm(), ArmAnswer::GoingToStart);
-    rig.pass(10_000);
+    for _ in 0..130 {
+        if rig.phase() != ArmPhase::Following {
+            rig.rest(1);
+        }
+    }
     assert_eq!((rig.phase(), rig.permission()), (ArmPhase::Following, Permission::AwaitRest));
     assert!(rig.state().start_distance_mm < 2.0);
     // Stopped on this way it is not sent on.

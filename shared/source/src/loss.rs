@@ -11,7 +11,7 @@ const WATCHED_NS: u64 = 1_000_000_000;
 
 /// Watches how late samples come.
 #[derive(Clone, Debug)]
-pub(crate) struct LossByTime {
+pub struct LossByTime {
     /// A smaller lateness is no loss, ns.
     allowed_ns: u64,
     began_ns: u64,
@@ -19,18 +19,18 @@ pub(crate) struct LossByTime {
 }
 
 impl LossByTime {
-    /// For samples that come in frames of this duration.
-    pub(crate) fn new(allowed_ns: u64) -> LossByTime {
+    /// Lateness that stays is a loss if it is greater than this, ns.
+    pub fn new(allowed_ns: u64) -> LossByTime {
         LossByTime { allowed_ns, began_ns: 0, least_ns: u64::MAX }
     }
 
     /// Takes how late the newest sample is, and gives the time in which samples were lost, ns; 0 if none were.
-    pub(crate) fn observe(&mut self, now_ns: u64, lateness_ns: u64) -> u64 {
+    pub fn observe(&mut self, now_ns: u64, lateness_ns: u64) -> u64 {
         if self.least_ns == u64::MAX {
             self.began_ns = now_ns;
         }
         self.least_ns = self.least_ns.min(lateness_ns);
-        if now_ns - self.began_ns < WATCHED_NS {
+        if now_ns.saturating_sub(self.began_ns) < WATCHED_NS {
             return 0;
         }
         let least_ns = std::mem::replace(&mut self.least_ns, u64::MAX);
