@@ -117,7 +117,7 @@ class Session:
         return about | {
             "person": None, "model": "models/cnn-five-gesture.onnx", "strategy": "threshold", "gestures": GESTURES,
             "modes": MODES, "workspace_mm": {"min": [200, -400, 150], "max": [600, 400, 650]}, "arm": {"joints": joints},
-            "speed_mm_per_s": 50, "task": False, "paper": {"median_ms": 326, "mean_ms": 324},
+            "speed_mm_per_s": 50, "paper": {"median_ms": 326, "mean_ms": 324},
         }
 
     def whole_state(self):

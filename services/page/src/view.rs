@@ -132,7 +132,6 @@ impl View {
             "workspace_mm": {"min": robot.arm.workspace_min_mm, "max": robot.arm.workspace_max_mm},
             "arm": (!is_calibration).then(|| json!({"joints": joints})),
             "speed_mm_per_s": decision.speed_mm_per_s,
-            "task": !desk["task"].is_null(),
             "paper": {"median_ms": PAPER_MEDIAN_MS, "mean_ms": PAPER_MEAN_MS},
             "bin_ms": bin_ms,
         })
@@ -353,7 +352,7 @@ mod tests {
     #[test]
     fn hello_tells_what_gestures_do_and_how_the_arm_is_built() {
         let hello = View::new(&Config::default()).hello(7, 8.0, &json!({"person": "anna"}));
-        assert_eq!((&hello["person"], &hello["task"]), (&json!("anna"), &json!(false)));
+        assert_eq!(hello["person"], "anna");
         assert_eq!(hello["modes"][0]["motions"]["extension"], "+z");
         assert_eq!(hello["channels"].as_array().unwrap().len(), 4);
         assert_eq!(hello["gestures"][0], "rest");

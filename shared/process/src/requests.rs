@@ -441,8 +441,10 @@ mod tests {
             let session = session.clone();
             std::thread::spawn(move || ask_session(&session, &Request::Record(false)).unwrap())
         };
-        let waiting: Vec<_> = std::iter::repeat_with(ask).take(MOST_WAITING).collect();
-        let held: Vec<Asked> = waiting.iter().map(|_| asked.recv().unwrap()).collect();
+        // One after the other: the kernel keeps few datagrams for a socket.
+        let ask_and_hold = || (ask(), asked.recv().unwrap());
+        let (waiting, held): (Vec<_>, Vec<Asked>) =
+            std::iter::repeat_with(ask_and_hold).take(MOST_WAITING).unzip();
         assert!(ask().join().unwrap().text.contains("too many"));
         drop(held);
         for one in waiting {
