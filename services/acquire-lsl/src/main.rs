@@ -6,6 +6,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod rate;
 mod source;
 mod timeline;
 

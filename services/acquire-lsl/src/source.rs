@@ -9,6 +9,7 @@ use tendon_lsl::{ChannelFacts, Format, Inlet, Lsl, LslError, LslSettings, Reader
 use tendon_process::{STALE_NS, SignalDescription};
 use tendon_source::{BlockAssembler, Choice, Chunk, Next, Offer, OfferedChannel, Source, SourceError, Wait};
 
+use crate::rate::ArrivalRate;
 use crate::timeline::{Arrival, Oddities, Timeline};
 
 /// How long a stream that was found may take to describe itself and to open.
@@ -41,6 +42,7 @@ pub struct LslSource {
     /// Since when all stamps are too old to act upon.
     old_since: Option<Instant>,
     old_told_at: Option<Instant>,
+    rate: ArrivalRate,
 }
 
 impl LslSource {
@@ -81,6 +83,7 @@ impl LslSource {
             told_at: None,
             old_since: None,
             old_told_at: None,
+            rate: ArrivalRate::new(stream.sample_rate_hz),
             stream,
         })
     }
@@ -99,7 +102,7 @@ impl LslSource {
 
     /// Takes all frames that have come.
     fn take_frames(&mut self) -> Result<(), SourceError> {
-        let LslSource { reader, choice, timeline, assembler, taken, stream, .. } = self;
+        let LslSource { reader, choice, timeline, assembler, taken, stream, rate, .. } = self;
         let Some(reader) = reader else { return Ok(()) };
         while !assembler.has_block() {
             let Some(frame) = reader.next_frame().map_err(SourceError::new)? else { break };
@@ -108,6 +111,15 @@ impl LslSource {
                 correction_s: frame.correction_s,
                 received_ns: frame.received_ns,
             };
+            let other_rate_hz = rate.take(frame.stamps.len(), arrival.received_ns, arrival.is_new_connection);
+            if let Some(measured_hz) = other_rate_hz {
+                tracing::warn!(
+                    "LSL: the samples of the stream \"{}\" arrive at {measured_hz:.1} Hz instead of {} Hz: make its program state \
+                     the amplifier's real rate, and set acquisition.sample_rate_hz to it",
+                    stream.name,
+                    stream.sample_rate_hz
+                );
+            }
             timeline.place(frame.stamps, arrival, |run| {
                 let values = run.samples.start * stream.channels..run.samples.end * stream.channels;
                 taken.clear();
