@@ -223,7 +223,7 @@ fn a_recording_that_cannot_be_read() {
 fn a_table_without_its_sampling_rate() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("emg.csv");
-    std::fs::write(&path, "1,2,3,4\n".repeat(1000)).unwrap();
+    std::fs::write(&path, "10,20,30,40\n".repeat(1000)).unwrap();
     let parts = ["emg.csv", "--recording-rate-hz 1000, or acquisition.replay.sample_rate_hz"];
     assert_refused(&["--replay", path.to_str().unwrap()], &parts);
 }

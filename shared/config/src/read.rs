@@ -177,6 +177,7 @@ mod tests {
         config.acquisition.replay.path = Some("x".into());
         config.acquisition.replay.sample_rate_hz = Some(1.0);
         config.acquisition.replay.channels = Some(vec![]);
+        config.acquisition.replay.label_column = Some(Channel::Index(0));
         config.acquisition.replay.repetition = Some(0);
         config.acquisition.lsl.library = Some("x".into());
         config.acquisition.nidaqmx.library = Some("x".into());
