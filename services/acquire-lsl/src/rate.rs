@@ -61,7 +61,7 @@ mod tests {
     fn another_rate_than_the_stated_one_is_measured() {
         for real_hz in [1000.0, 1960.0, 2040.0] {
             let said = said(real_hz);
-            assert_eq!(said.len(), 2, "{real_hz} Hz");
+            assert!(said.len() >= 2, "{real_hz} Hz: {said:?}");
             assert!(said.iter().all(|hz| (hz / real_hz - 1.0).abs() < 0.005), "{real_hz} Hz: {said:?}");
         }
         // Clocks differ a little.
