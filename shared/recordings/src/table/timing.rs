@@ -78,7 +78,7 @@ impl Timing {
 
 impl Table {
     /// Finds the sampling rate in what the head states and in the column of time, and the missing samples
-    /// in that column or in a counter. `columns` are what [`columns`] gives for `text`, of which nothing has been read.
+    /// in that column or in a counter. `columns` are what `choice::columns` gives for `text`, of which nothing has been read.
     ///
     /// # Errors
     /// When the chosen columns have different rates.
