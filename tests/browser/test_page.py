@@ -6,22 +6,19 @@ TENDON_BROWSER names a browser; TENDON_SCREENSHOTS names a folder that gets a sc
 
 import gzip
 import json
-import os
 import pathlib
 import re
 import time
 import unittest
 
-from browser import Browser, find_program
+from case import IS_LIVE, TITLE, PageCase
 from fixture import CUE, JOINTS_RAD, RECORDING, REPORT, START_MM, WEB, Session
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 MOST_BYTES = 300_000
-TITLE = "document.querySelector('#standing-title').textContent"
 STOP = "document.querySelector('#stop .order-name').textContent"
 ANSWERED = "document.querySelector('#request-outcome').textContent"
 OUTCOME = "document.querySelector('#order-outcome').textContent"
-IS_LIVE = "!document.body.classList.contains('is-away')"
 
 
 def is_shown(selector):
@@ -61,26 +58,12 @@ class Texts(unittest.TestCase):
         self.assertLess(sum(len(gzip.compress(path.read_bytes())) for path in WEB.iterdir()), MOST_BYTES)
 
 
-@unittest.skipUnless(find_program(), "no browser found: install chromium-headless-shell, or name one in TENDON_BROWSER")
-class InBrowser(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.browser = cls.enterClassContext(Browser(find_program()))
-
+class InBrowser(PageCase):
     def setUp(self):
         self.session = self.enterContext(Session())
 
     def open(self, **options):
-        page = self.browser.open(self.session.address, **options)
-        self.addCleanup(lambda: self.assertEqual(page.errors(), []))
-        page.wait_for(f"{IS_LIVE} && {TITLE} !== ''")
-        return page
-
-    def screenshot(self, page, name):
-        folder = os.environ.get("TENDON_SCREENSHOTS")
-        if folder:
-            pathlib.Path(folder).mkdir(parents=True, exist_ok=True)
-            page.save_screenshot(pathlib.Path(folder) / f"{name}.png")
+        return self.open_page(self.session.address, **options)
 
     def test_traces_move_and_a_gesture_shows(self):
         page = self.open()

@@ -6,13 +6,12 @@
 
 import json
 import os
-import pathlib
 import socket
 import unittest
 
-from browser import Browser, find_program
+from case import IS_LIVE, TITLE, PageCase
 from programs import ROOT, Emulator, Home, find_programs, wait_until
-from test_page import ANSWERED, IS_LIVE, STOP, TITLE, is_shown
+from test_page import ANSWERED, STOP, is_shown
 
 MODES = """
 [[decision.modes]]
@@ -36,12 +35,10 @@ PRESSED_MODE = "document.querySelector('#modes [aria-pressed=true]')?.textConten
 LIMIT_S = 60.0
 
 
-@unittest.skipUnless(find_program(), "no browser found: install chromium-headless-shell, or name one in TENDON_BROWSER")
 @unittest.skipUnless(find_programs(), "the programs are not built: cargo build --workspace --bins")
-class RealSessions(unittest.TestCase):
-    @classmethod
-    def setUpClass(cls):
-        cls.browser = cls.enterClassContext(Browser(find_program()))
+class RealSessions(PageCase):
+    up_within_s = LIMIT_S
+    screenshot_prefix = "real-"
 
     def setUp(self):
         self.home = self.enterContext(Home(find_programs()))
@@ -54,22 +51,10 @@ class RealSessions(unittest.TestCase):
             "run", "--session", self.name, "--config", "modes.toml", "--strategy", "direct", "--model",
             ROOT / "models/cnn-six-class.onnx", *settings, *words))
 
-    def open(self, address, **options):
-        page = self.browser.open(address, **options)
-        self.addCleanup(lambda: self.assertEqual(page.errors(), []))
-        page.wait_for(f"{IS_LIVE} && {TITLE} !== ''", LIMIT_S)
-        return page
-
-    def screenshot(self, page, name):
-        folder = os.environ.get("TENDON_SCREENSHOTS")
-        if folder:
-            pathlib.Path(folder).mkdir(parents=True, exist_ok=True)
-            page.save_screenshot(pathlib.Path(folder) / f"real-{name}.png")
-
     def test_a_session_is_steered_from_the_page_alone(self):
         arm = self.enterContext(Emulator(find_programs()))
         tendon = self.run_session("--keyboard", "--page", "--page-port", "0", arm=arm)
-        page = self.open(tendon.line("page: "))
+        page = self.open_page(tendon.line("page: "))
         # A real arm waits to be let go.
         page.wait_for(f"{TITLE} === 'The arm waits'", LIMIT_S)
         picture = "document.querySelector('#traces').toDataURL()"
@@ -113,7 +98,7 @@ class RealSessions(unittest.TestCase):
 
     def test_the_next_session_comes_at_the_same_page(self):
         tendon = self.run_session("--keyboard", "--page", "--page-port", "0")
-        page = self.open(tendon.line("page: "))
+        page = self.open_page(tendon.line("page: "))
         page.wait_for(f"{TITLE} === 'Ready · rest' && {is_shown('#next-open')}", LIMIT_S)
         page.click("#next-open")
         page.click("[data-choice=task] [data-option=zones]")
@@ -136,7 +121,7 @@ class RealSessions(unittest.TestCase):
             deaf.sendall(f"GET /ws?token={token} HTTP/1.1\r\nHost: {host}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
                          "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode())
             self.assertTrue(deaf.recv(12).startswith(b"HTTP/1.1 101"))
-            second, first = self.open(tendon.line("page, to watch only: ")), self.open(address)
+            second, first = self.open_page(tendon.line("page, to watch only: ")), self.open_page(address)
             first.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
             first.type("f")
             for page in (first, second):
@@ -154,7 +139,7 @@ class RealSessions(unittest.TestCase):
         shown = self.enterContext(self.home.tendon("page", "--session", self.name, "--page-port", "0"))
         at_rest = ("--set", 'acquisition.simulate.script="rest 60s"')
         before = self.run_session(*at_rest)
-        page = self.open(shown.line("page: "))
+        page = self.open_page(shown.line("page: "))
         page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
         self.assertEqual(before.end(), 0)
         page.wait_for(f"!({IS_LIVE})", LIMIT_S)
@@ -168,7 +153,7 @@ class RealSessions(unittest.TestCase):
         tendon = self.enterContext(self.home.tendon(
             "calibrate", "anna", "--set", f"session={self.name}", "--page", "--page-port", "0", "--rest", "2s", "--hold", "2s",
             "--pause", "1s", "--set", "acquisition.simulate.profile=stranger-19"))
-        page = self.open(tendon.line("page: "))
+        page = self.open_page(tendon.line("page: "))
         page.wait_for(f"{TITLE} === 'Ready? Press Go on'", LIMIT_S)
         page.press_enter()
         page.wait_for(f"{TITLE}.endsWith(': light, firm, light')", LIMIT_S)
