@@ -128,6 +128,8 @@ pub struct SessionDesk {
     /// Whether the modes are those of a session that is replayed.
     repeats_modes: bool,
     socket: RequestSocket,
+    /// The recording and the task as they are shown; `None` before the session runs.
+    shown: Option<(Option<PathBuf>, Option<TaskStatus>)>,
     /// The session's command line.
     run: Vec<String>,
     strategy: Strategy,
@@ -194,6 +196,7 @@ impl SessionDesk {
             modes,
             repeats_modes,
             socket,
+            shown: None,
             run: own.unwrap_or_default(),
             strategy: config.decision.strategy,
             why_not_next,
@@ -220,9 +223,12 @@ impl SessionDesk {
                 asked.answer(&Answer::done("this session ends, and what was asked for begins"));
             }
         }
-        self.desk.recording = watch.recording().map(PathBuf::from);
-        self.desk.task = task.map(TaskRun::status);
-        self.socket.show(self.desk.text());
+        let now = (watch.recording().map(PathBuf::from), task.map(TaskRun::status));
+        if self.shown.as_ref() != Some(&now) {
+            (self.desk.recording, self.desk.task) = now.clone();
+            self.shown = Some(now);
+            self.socket.show(self.desk.text());
+        }
     }
 
     fn answer(&self, request: &Request, watch: &mut Watch<'_>) -> Answer {

@@ -5,8 +5,6 @@
 //!      ◀──────────── where it was noted ────────────┘   once it is written
 //! ```
 
-use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::Duration;
 
 use nix::errno::Errno;
@@ -79,10 +77,9 @@ impl NoteSocket {
     /// [`NoteError::Socket`] when another recorder does so, or the system refuses.
     pub fn open(session: &SessionName) -> Result<NoteSocket, NoteError> {
         let failed = |source| NoteError::Socket { session: session.clone(), source };
-        let address = SocketAddr::from_abstract_name(listening_name(session)).map_err(failed)?;
-        let socket = UnixDatagram::bind_addr(&address).map_err(failed)?;
-        socket.set_nonblocking(true).map_err(failed)?;
-        Ok(NoteSocket { socket: Socket::new(socket).map_err(failed)? })
+        let socket = Socket::at(&listening_name(session)).map_err(failed)?;
+        socket.socket.set_nonblocking(true).map_err(failed)?;
+        Ok(NoteSocket { socket })
     }
 
     /// The next note that has come from this user or root, without waiting; what is none is passed over.
@@ -90,7 +87,7 @@ impl NoteSocket {
         let mut bytes = [0; LONGEST_NOTE];
         loop {
             match self.socket.receive(&mut bytes) {
-                Ok(note) if note.user == own_user() || note.user == 0 => {
+                Ok(note) if note.is_from_this_user_or_root() => {
                     let text = String::from_utf8_lossy(&bytes[..note.length]).into_owned();
                     return Some(NoteText { text, asker: note.sender.map(Asker) });
                 }

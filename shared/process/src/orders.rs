@@ -147,8 +147,20 @@ pub(crate) struct Datagram {
     pub(crate) length: usize,
 }
 
+impl Datagram {
+    /// Whether it is from this user or root: nobody else is heard.
+    pub(crate) fn is_from_this_user_or_root(&self) -> bool {
+        self.user == own_user() || self.user == 0
+    }
+}
+
 impl Socket {
-    pub(crate) fn new(socket: UnixDatagram) -> std::io::Result<Socket> {
+    /// One at a name of the kernel. It is no file, so nobody can remove it.
+    pub(crate) fn at(name: &str) -> std::io::Result<Socket> {
+        Socket::new(UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(name)?)?)
+    }
+
+    fn new(socket: UnixDatagram) -> std::io::Result<Socket> {
         setsockopt(&socket, sockopt::PassCred, &true)?;
         Ok(Socket { socket, control: nix::cmsg_space!(UnixCredentials) })
     }
@@ -168,8 +180,13 @@ impl Socket {
     }
 
     pub(crate) fn send(&self, text: &str, to: &UnixAddr) -> nix::Result<usize> {
-        sendto(self.socket.as_raw_fd(), text.as_bytes(), to, MsgFlags::MSG_DONTWAIT)
+        send(&self.socket, text, to)
     }
+}
+
+/// Sends a datagram, or fails if it would have to wait.
+pub(crate) fn send(socket: &UnixDatagram, text: &str, to: &UnixAddr) -> nix::Result<usize> {
+    sendto(socket.as_raw_fd(), text.as_bytes(), to, MsgFlags::MSG_DONTWAIT)
 }
 
 /// What somebody at a socket of the kernel answers to `text`. `user` is whose answer counts: whoever else listens at that name
@@ -246,10 +263,9 @@ impl OrderSocket {
     pub(crate) fn open(session: &SessionName) -> Result<OrderSocket, ProcessError> {
         let name = listening_name(own_user(), session);
         let failed = |source| ProcessError::OrderSocket { name: name.clone(), source };
-        let address = SocketAddr::from_abstract_name(&name).map_err(failed)?;
-        let socket = UnixDatagram::bind_addr(&address).map_err(failed)?;
-        socket.set_nonblocking(true).map_err(failed)?;
-        Ok(OrderSocket { socket: Socket::new(socket).map_err(failed)?, asker: None })
+        let socket = Socket::at(&name).map_err(failed)?;
+        socket.socket.set_nonblocking(true).map_err(failed)?;
+        Ok(OrderSocket { socket, asker: None })
     }
 
     /// The next order that has come from this user or root; everything else is passed over.
@@ -257,10 +273,11 @@ impl OrderSocket {
         let mut bytes = [0; MAXIMUM_LINE_LENGTH];
         loop {
             match self.socket.receive(&mut bytes) {
-                Ok(Datagram { user, sender, length }) if user == own_user() || user == 0 => {
-                    let order = std::str::from_utf8(&bytes[..length]).ok().and_then(Order::parse);
+                Ok(datagram) if datagram.is_from_this_user_or_root() => {
+                    let text = std::str::from_utf8(&bytes[..datagram.length]);
+                    let order = text.ok().and_then(Order::parse);
                     if order.is_some() {
-                        self.asker = sender;
+                        self.asker = datagram.sender;
                         return order;
                     }
                 }

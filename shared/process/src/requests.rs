@@ -7,20 +7,18 @@
 //! The supervisor waits for none of it.
 
 use std::net::Shutdown;
-use std::os::fd::AsRawFd;
-use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::os::unix::net::UnixDatagram;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use nix::errno::Errno;
-use nix::sys::socket::{MsgFlags, UnixAddr, sendto};
+use nix::sys::socket::UnixAddr;
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_transport::{SessionName, own_user};
 
-use crate::orders::{AskError, Datagram, Socket, ask};
+use crate::orders::{AskError, Socket, ask, send};
 
 /// Longest request, bytes.
 const LONGEST_REQUEST: usize = 4096;
@@ -225,7 +223,7 @@ impl Reply {
 
     fn send(&self, text: &str) {
         // One that is gone, or does not read, needs no answer.
-        let _ = sendto(self.socket.as_raw_fd(), text.as_bytes(), &self.to, MsgFlags::MSG_DONTWAIT);
+        let _ = send(&self.socket, text, &self.to);
     }
 }
 
@@ -250,16 +248,11 @@ impl RequestSocket {
         on_request: impl FnMut(Asked) + Send + 'static,
     ) -> Result<RequestSocket, RequestError> {
         let failed = |source| RequestError::Socket { session: session.clone(), source };
-        let address = SocketAddr::from_abstract_name(listening_name(session)).map_err(failed)?;
-        let socket = UnixDatagram::bind_addr(&address).map_err(failed)?;
-        let replies = Arc::new(socket.try_clone().map_err(failed)?);
+        let socket = Socket::at(&listening_name(session)).map_err(failed)?;
+        let replies = Arc::new(socket.socket.try_clone().map_err(failed)?);
         let status = Arc::new(Mutex::new(status));
-        let hearing = Hearing {
-            socket: Socket::new(socket).map_err(failed)?,
-            replies: replies.clone(),
-            status: status.clone(),
-            waiting: Arc::new(()),
-        };
+        let hearing =
+            Hearing { socket, replies: replies.clone(), status: status.clone(), waiting: Arc::new(()) };
         let thread = std::thread::Builder::new()
             .name("requests".to_owned())
             .spawn(move || hearing.hear(on_request))
@@ -302,9 +295,10 @@ impl Hearing {
         let mut bytes = [0; LONGEST_REQUEST];
         loop {
             match self.socket.receive(&mut bytes) {
-                Ok(Datagram { user, sender: Some(to), length }) if user == own_user() || user == 0 => {
+                Ok(datagram) if datagram.is_from_this_user_or_root() => {
+                    let Some(to) = datagram.sender else { continue };
                     let reply = Reply { socket: self.replies.clone(), to };
-                    match serde_json::from_slice(&bytes[..length]) {
+                    match serde_json::from_slice(&bytes[..datagram.length]) {
                         Ok(Request::Status) => reply.send(&lock(&self.status)),
                         Ok(_) if Arc::strong_count(&self.waiting) > MOST_WAITING => {
                             reply.answer(&Answer::refused("too many requests wait: ask again in a moment"));
@@ -318,7 +312,7 @@ impl Hearing {
                         ))),
                     }
                 }
-                // From somebody else, or from nobody who could be answered.
+                // From somebody else.
                 Ok(_) | Err(Errno::EINTR | Errno::ENOBUFS) => {}
                 // Nothing without a sender comes but the end of a socket that was shut down.
                 Err(_) => return,
