@@ -9,11 +9,11 @@ use tendon_signal::{UnitError, canonical_unit, unit_factor};
 use crate::column_labels;
 use crate::error::RecordingError;
 use crate::layout::segments;
-use crate::mapped::MappedFile;
 use crate::recorder::{RecordedSession, is_recorded};
 use crate::segment::{Notice, Segment};
 use crate::signals::{Signals, is_signals};
 use crate::table::{self, Channel, Column, ColumnKind, Row, Table, TableError, TimingRemark};
+use crate::text::Text;
 use crate::three_dc;
 
 /// Most frames to read at once: enough to make the overhead negligible, few enough to stay in the fastest cache.
@@ -99,36 +99,6 @@ pub(crate) struct Columns {
     pub(crate) names: Vec<String>,
     /// Unit of the samples; empty if it is not known.
     pub(crate) unit: String,
-}
-
-/// The text of a table that is read: of a recording that Tendon made, whole lines only.
-#[derive(Debug)]
-struct Text {
-    file: MappedFile,
-    /// Bytes of it that are read.
-    length: usize,
-}
-
-impl Text {
-    /// Maps the file at `path`, and says what is left out of it.
-    fn open(path: &Path) -> Result<(Text, Option<Notice>), RecordingError> {
-        let file = MappedFile::open(path).map_err(RecordingError::open(path))?;
-        let bytes = file.bytes();
-        // Only of these the end is looked for: a file of somebody else's may be of any size, without a line.
-        if bytes.ends_with(b"\n") || !is_recorded(path) {
-            let length = bytes.len();
-            return Ok((Text { file, length }, None));
-        }
-        let length = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |newline| newline + 1);
-        let newlines = bytes[..length].iter().filter(|byte| **byte == b'\n').count() as u64;
-        // The first line has the names of the channels.
-        let notice = Notice::CutShort { file: path.to_owned(), lines: newlines.saturating_sub(1) };
-        Ok((Text { file, length }, Some(notice)))
-    }
-
-    fn bytes(&self) -> &[u8] {
-        &self.file.bytes()[..self.length]
-    }
 }
 
 /// What was read in one go.
@@ -541,7 +511,7 @@ impl RecordingSource {
                 break;
             }
         }
-        text.file.release_before(table.position());
+        text.release_before(table.position());
         rows
     }
 
@@ -583,7 +553,7 @@ impl RecordingSource {
 
 /// The unit of chosen columns, and what each is multiplied by to have it: if they state different ones, that of the first.
 /// Nothing if they have it already, and no unit if they do not all have one that is known.
-fn common_unit(columns: &[Column], chosen: &[usize]) -> (String, Vec<f32>) {
+pub(crate) fn common_unit(columns: &[Column], chosen: &[usize]) -> (String, Vec<f32>) {
     let units = || chosen.iter().map(|column| columns[*column].unit.as_str());
     let first = units().find(|unit| !unit.is_empty()).unwrap_or_default();
     let is_first = |unit: &str| canonical_unit(unit) == canonical_unit(first);
@@ -600,66 +570,6 @@ fn common_unit(columns: &[Column], chosen: &[usize]) -> (String, Vec<f32>) {
         |_| (String::new(), Vec::new()),
         |factors| (first.to_owned(), factors.into_iter().map(|factor| factor as f32).collect()),
     )
-}
-
-/// The unit in which [`RecordingSource::of_table`] gives `channels` of the table at `path`; empty if it states none for them.
-///
-/// # Errors
-/// When it cannot be opened, is no table, or lacks a channel.
-pub fn unit_of_table(path: &Path, channels: &[Channel]) -> Result<String, RecordingError> {
-    let (text, _) = Text::open(path)?;
-    let table = Table::open(text.bytes(), channels).map_err(RecordingError::table(path))?;
-    let columns = table::columns(text.bytes()).map_err(RecordingError::table(path))?;
-    Ok(common_unit(&columns, &table.chosen_columns()).0)
-}
-
-/// The channels of the table at `path` that are muscles, as far as can be told; of a recording that Tendon made, all. The column
-/// of labels, if one is given and there, is none.
-///
-/// # Errors
-/// When it cannot be opened or is no table.
-pub fn muscles(path: &Path, label_column: Option<&Channel>) -> Result<Vec<Channel>, RecordingError> {
-    muscles_of(path, label_column, table::muscles)
-}
-
-/// The first `count` channels of the table at `path` that are muscles, as for [`muscles`].
-///
-/// # Errors
-/// As for [`muscles`], or when there are too few.
-pub fn first_muscles(
-    path: &Path,
-    count: usize,
-    label_column: Option<&Channel>,
-) -> Result<Vec<Channel>, RecordingError> {
-    muscles_of(path, label_column, |columns| table::first_muscles(columns, count))
-}
-
-fn muscles_of(
-    path: &Path,
-    label_column: Option<&Channel>,
-    choose: impl FnOnce(&[table::Column]) -> Result<Vec<Channel>, TableError>,
-) -> Result<Vec<Channel>, RecordingError> {
-    if is_signals(path) {
-        let names = RecordingSource::open(
-            path,
-            &RecordingSettings { channels: vec![0.into()], ..RecordingSettings::default() },
-        )?
-        .file_names();
-        return choose(&table::columns_by_name(&names)).map_err(RecordingError::table(path));
-    }
-    // What is no table is refused in its own words.
-    segments(path, &RecordingSettings::default(), &mut Vec::new())?;
-    let (text, _) = Text::open(path)?;
-    let columns = table::columns(text.bytes()).and_then(|mut columns| {
-        if is_recorded(path) {
-            columns.iter_mut().for_each(|column| column.kind = ColumnKind::Muscle);
-        }
-        if let Some(Ok(place)) = label_column.map(|labels| table::find(&columns, labels)) {
-            columns[place].kind = ColumnKind::Label;
-        }
-        choose(&columns)
-    });
-    columns.map_err(RecordingError::table(path))
 }
 
 fn sample_rate(path: &Path, known_hz: Option<f64>, given_hz: Option<f64>) -> Result<f64, RecordingError> {

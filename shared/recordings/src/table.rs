@@ -26,6 +26,7 @@ mod column;
 mod counts;
 mod head;
 mod problem;
+mod quantity;
 mod timing;
 
 pub use channel::Channel;

@@ -12,7 +12,7 @@
 use std::fmt;
 
 use super::cells::number;
-use super::head::in_brackets;
+use super::quantity::in_brackets;
 
 /// Rows from which a shape says something.
 const ROWS_OF_A_SHAPE: usize = 64;
