@@ -31,10 +31,11 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use crate::access::{Access, Claimed, Rights};
+use crate::connections;
 use crate::files::Files;
 use crate::orders::{Answer, Orders, What};
 use crate::requests::{Requests, Wish};
-use crate::watching::{Audience, Update};
+use crate::watching::Audience;
 
 /// Viewers at a time.
 const SEATS: usize = 8;
@@ -97,7 +98,7 @@ impl Page {
 ///
 /// # Errors
 ///
-/// When the listener cannot be used any more.
+/// When the listener cannot be used.
 pub async fn serve(listener: std::net::TcpListener, page: Arc<Page>) -> std::io::Result<()> {
     let router = Router::new()
         .route("/ws", get(enter))
@@ -105,7 +106,7 @@ pub async fn serve(listener: std::net::TcpListener, page: Arc<Page>) -> std::io:
         .layer(axum::middleware::from_fn_with_state(page.clone(), guard))
         .with_state(page);
     let listener = TcpListener::from_std(listener)?;
-    axum::serve(listener, router.into_make_service_with_connect_info::<SocketAddr>()).await
+    match connections::serve(listener, router).await {}
 }
 
 /// Refuses requests to names that are not this page's, and adds the headers of safety.
@@ -188,25 +189,25 @@ async fn tell(
     let mut updates = page.audience.updates.subscribe();
     let mut pings = tokio::time::interval(PING);
     loop {
-        let message = tokio::select! {
+        let messages: Arc<[Message]> = tokio::select! {
             biased;
-            _ = pings.tick() => Message::Ping(Bytes::new()),
-            Some(reply) = answered.recv() => Message::Text(reply.text().into()),
+            _ = pings.tick() => [Message::Ping(Bytes::new())].into(),
+            Some(reply) = answered.recv() => [Message::Text(reply.text().into())].into(),
             Ok(()) = hello.changed() => {
                 let Some(mut facts) = hello.borrow_and_update().clone() else { continue };
                 facts["rights"] = rights.name().into();
-                Message::Text(json!({ "hello": facts }).to_string().into())
+                [Message::Text(json!({ "hello": facts }).to_string().into())].into()
             }
-            Ok(()) = desk.changed() => Message::Text(desk.borrow_and_update().message(rights)),
+            Ok(()) = desk.changed() => [Message::Text(desk.borrow_and_update().message(rights))].into(),
             update = updates.recv() => match update {
-                Ok(Update::Text(text)) => Message::Text(text),
-                Ok(Update::Frame(frame)) => Message::Binary(frame),
+                Ok(update) => update,
                 // It is slow: it goes on with what is new.
                 Err(RecvError::Lagged(_)) => continue,
                 Err(RecvError::Closed) => return,
             },
         };
-        match tokio::time::timeout(PATIENCE, output.send(message)).await {
+        let mut messages = futures_util::stream::iter(messages.iter().cloned().map(Ok));
+        match tokio::time::timeout(PATIENCE, output.send_all(&mut messages)).await {
             Ok(Ok(())) => {}
             Ok(Err(_)) | Err(_) => return,
         }

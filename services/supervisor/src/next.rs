@@ -15,6 +15,7 @@ use tendon_config::{Config, Source};
 use tendon_gesture::Strategy;
 use tendon_people::PersonName;
 use tendon_process::{Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys};
+use tendon_transport::SessionName;
 
 use crate::options::Options;
 use crate::{Arguments, Failure, calibrate, provenance, zones};
@@ -33,6 +34,8 @@ pub struct Handover {
     pub page: PageKeys,
     /// The command line of the session, to which a calibration leads back.
     pub run: Vec<String>,
+    /// The session's name.
+    pub session: SessionName,
 }
 
 impl Handover {
@@ -106,6 +109,12 @@ pub fn why_not(options: &Options, config: &Config) -> Option<&'static str> {
         return Some("this session replays a recording: end it, and start the next by hand");
     }
     None
+}
+
+/// The strategy of the session of `run`; `None` where it could not begin any more, such as that of a person who is gone.
+pub fn strategy_of(run: &[String]) -> Option<Strategy> {
+    let Ok(crate::Command::Run(options)) = read(run) else { return None };
+    options.configuration().ok().map(|(config, _)| config.decision.strategy)
 }
 
 /// The command line of what is to follow on the session of `run`, whose strategy is `strategy`.

@@ -10,8 +10,9 @@ use tendon_lsl::{Inlet, Lsl, StreamFacts};
 use tendon_output::collect;
 
 use crate::Failure;
-use crate::options::{Base, duration};
+use crate::configuration::Base;
 use crate::output::{checked, print, tell};
+use crate::times::duration;
 
 /// How long a stream may take to describe its channels.
 const ANSWER: Duration = Duration::from_secs(1);
