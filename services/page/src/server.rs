@@ -24,6 +24,7 @@ use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt, StreamExt};
 use serde::Deserialize;
 use serde_json::json;
+use tendon_process::Answer;
 use tendon_transport::now_ns;
 use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
@@ -33,7 +34,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use crate::access::{Access, Claimed, Rights};
 use crate::connections;
 use crate::files::Files;
-use crate::orders::{Answer, Orders, What};
+use crate::orders::{Orders, Told, What};
 use crate::requests::{Requests, Wish};
 use crate::watching::Audience;
 
@@ -218,14 +219,14 @@ async fn tell(
 #[derive(Debug)]
 enum Reply {
     Pong { t: f64 },
-    Answer(Answer),
+    Told(Told),
 }
 
 impl Reply {
     fn text(self) -> String {
         match self {
             Reply::Pong { t } => json!({"pong": {"t": t, "now_ns": now_ns()}}).to_string(),
-            Reply::Answer(answer) => json!({ "answer": answer }).to_string(),
+            Reply::Told(told) => json!({ "answer": told }).to_string(),
         }
     }
 }
@@ -240,9 +241,10 @@ enum Said {
 }
 
 /// The answer to somebody who gives an order or asks for something and may only watch.
-fn refusal(id: u64, order: &'static str) -> Answer {
-    let text = "this address only watches: open the one for orders on the session's machine".to_owned();
-    Answer { id, order, ok: false, text }
+fn refusal(id: u64, order: &'static str) -> Told {
+    let answer =
+        Answer::refused("this address only watches: open the one for orders on the session's machine");
+    Told { id, order, answer: answer.with_key("only-watches") }
 }
 
 /// Hears a viewer until it says what no page of ours says.
@@ -253,8 +255,8 @@ async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, re
     loop {
         let message = tokio::select! {
             biased;
-            Some(answer) = answered.recv() => {
-                if replies.try_send(Reply::Answer(answer)).is_err() {
+            Some(told) = answered.recv() => {
+                if replies.try_send(Reply::Told(told)).is_err() {
                     return;
                 }
                 continue;

@@ -258,7 +258,7 @@ impl SessionDesk {
         let check = move || match next::command_line_after(&run, strategy, &next) {
             // Nobody listens any more once the session is over; the request says so itself.
             Ok(command_line) => drop(checking.send(Checked { asked, command_line })),
-            Err(error) => asked.answer(&Answer::refused(format!("{error:#}"))),
+            Err(error) => asked.answer(&next::refusal(&error)),
         };
         // Without the thread the request is dropped, and refused by that.
         let _ = std::thread::Builder::new().name("check next".to_owned()).spawn(check);

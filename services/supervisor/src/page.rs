@@ -15,6 +15,7 @@ use tendon_process::{Answer, Next, PAGE_VARIABLE, PageKeys, Request};
 use tendon_session::{ChildrenError, Companion, Event, Writer, become_owner};
 
 use crate::Failure;
+use crate::next::refusal;
 use crate::running_session::RunningSession;
 
 /// The program that serves the page. It lies beside this one.
@@ -164,7 +165,7 @@ impl Page {
                             asked.answer(&Answer::done("what was asked for begins"));
                             return Some(command_line);
                         }
-                        Err(error) => asked.answer(&Answer::refused(format!("{error:#}"))),
+                        Err(error) => asked.answer(&refusal(&error)),
                     }
                 }
                 Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return None,
