@@ -126,7 +126,7 @@ class Session:
         return {
             "now_ns": now_ns, "captured_ns": now_ns, "elapsed_s": (now_ns - self._started_ns) / 1e9,
             "position_mm": START_MM, "orientation_rad": [math.pi, 0, 0], "joints_rad": JOINTS_RAD,
-            "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
+            "arm_is_silent": False, "moves": self.gesture != "rest", "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
             "phase": "following", "gesture": self.gesture, "voted": self.gesture, "confidence": 0.93, "unsure": False,
             "novelty": 0.2, "probabilities": [0.93 if gesture == self.gesture else 0.014 for gesture in GESTURES],
             "efforts": [0.5] * len(GESTURES), "mode": 0, "calibration_left_ms": 0, "zone": None, "recording": (self.desk or {}).get("recording"),
@@ -139,7 +139,8 @@ class Session:
         may_all = {"record": True, "gestures": True, "mode": True, "next": True}
         people = {} if self.rights == "watch" else {"people": ["anna", "bert"]}
         calibration = CUE if self.kind == "calibration" else None
-        return {"can": may_all, "kind": self.kind, "recording": None, "person": None, "strategy": "threshold",
+        return {"can": may_all, "kind": self.kind, "recording": None, "recording_failure": None,
+                "model": "/models/cnn-five-gesture.onnx, /models/rest-move.onnx", "person": None, "strategy": "threshold",
                 "strategies": ["threshold", "two_stage", "direct", "personal"], "task": None,
                 "calibration": calibration} | people | self.desk
 

@@ -169,10 +169,10 @@ impl Topics {
             traces.take(block.header(), block.payload())?;
         }
         while let Some(prediction) = self.predictions.receive().context("predictions")? {
-            view.prediction(prediction.header().novelty, prediction.payload());
+            view.prediction(prediction.header(), prediction.payload());
         }
         while let Some(command) = self.commands.receive().context("commands")? {
-            view.command(command.header());
+            view.command(command.header(), command.payload());
         }
         while let Some(state) = self.states.receive().context("states")? {
             view.state(state.header(), state.payload());

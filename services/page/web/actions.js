@@ -106,12 +106,14 @@ export class Actions {
 
   toggleRecording() {
     const isOn = this.recording !== null;
+    const before = this.desk.recording_failure;
     this.requests.ask(
       "record",
       { record: !isOn },
       {
         words: text(isOn ? "do.record-off" : "do.record-on"),
         isDone: (desk) => (desk.recording !== null) !== isOn,
+        whyNot: (desk) => (desk.recording_failure === before ? null : desk.recording_failure),
       },
     );
   }
@@ -182,6 +184,9 @@ export class Actions {
   refreshRecording() {
     const { requests, recording } = this;
     const isOn = recording !== null;
+    const failure = isOn ? null : this.desk?.recording_failure;
+    byId("no-recording").hidden = !failure;
+    show(byId("no-recording"), failure ? text("no-recording", { reason: failure }) : "");
     const button = byId("record");
     button.classList.toggle("is-on", isOn);
     button.classList.toggle("is-asked", requests.isAsked("record"));

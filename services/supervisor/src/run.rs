@@ -18,7 +18,7 @@ use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
 use tendon_output::OutputErrors;
 use tendon_people::{Person, PersonInUse};
-use tendon_process::{Order, Ready};
+use tendon_process::{Order, PageKeys, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
@@ -54,11 +54,15 @@ struct Companions {
 }
 
 impl Companions {
-    fn start(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
-        let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
+    fn start(
+        options: &Options,
+        config: &Config,
+        before: Option<&PageKeys>,
+        errors: &Writer,
+    ) -> Result<Companions, Failure> {
         let outlet =
             config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, |_| (), errors));
-        let page = options.page.page.then(|| Page::start(&options.page, config, before.as_ref(), errors));
+        let page = options.page.page.then(|| Page::start(&options.page, config, before, errors));
         let failed = |error: ChildrenError| Failure::running(error);
         Ok(Companions {
             outlet: outlet.transpose().map_err(failed)?,
@@ -269,7 +273,13 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    let mut companions = Companions::start(options, config, &terminal.errors)?;
+    let before = Handover::received().map_err(Failure::input)?;
+    let page_before = before.as_ref().map(|before| &before.page);
+    let mut companions = Companions::start(options, config, page_before, &terminal.errors)?;
+    if before.is_some_and(|before| before.is_recorded) {
+        // What keeps it from being recorded is said by itself.
+        watch.record(true);
+    }
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
