@@ -46,7 +46,7 @@ REPORT = {
     "channels": [{"name": f"EMG {number}", "snr_db": 24.0 - 2 * number, "remark": "hum" if number == 3 else None}
                  for number in range(8)],
     "findings": [{"kind": "alike", "first": "ulnar", "second": "radial", "percent": 12.4,
-                  "text": "ulnar and radial look alike in 12 % of the time: repeat them further apart"}],
+                  "text": "ulnar and radial look alike 12 % of the time: repeat them further apart"}],
     "confusion": {"gestures": GESTURES, "counts": [[40 if row == column else 5 if (row, column) == (3, 4) else 0
                                                     for column in range(6)] for row in range(6)]},
     "check": {"before": 0.71, "after": 0.99}, "file": "/home/anna/people/anna/person.toml",

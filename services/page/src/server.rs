@@ -40,6 +40,8 @@ use crate::watching::Audience;
 
 /// Viewers at a time.
 const SEATS: usize = 8;
+/// Seats among them that nobody takes who may only watch: whoever may stop the arm finds one.
+const KEPT_FOR_ORDERS: usize = 2;
 /// Longest message of a viewer, bytes.
 const LONGEST_MESSAGE: usize = 4096;
 /// Most messages of a viewer in a second.
@@ -80,6 +82,7 @@ pub struct Page {
     /// The way to the supervisor and the recorder.
     pub requests: Requests,
     seats: Arc<Semaphore>,
+    seats_for_orders: Arc<Semaphore>,
 }
 
 impl Page {
@@ -91,7 +94,16 @@ impl Page {
         orders: Orders,
         requests: Requests,
     ) -> Page {
-        Page { access, files, audience, orders, requests, seats: Arc::new(Semaphore::new(SEATS)) }
+        let seats = Arc::new(Semaphore::new(SEATS - KEPT_FOR_ORDERS));
+        let seats_for_orders = Arc::new(Semaphore::new(KEPT_FOR_ORDERS));
+        Page { access, files, audience, orders, requests, seats, seats_for_orders }
+    }
+
+    /// A seat for somebody with these rights, if there is one.
+    fn seat(&self, rights: Rights) -> Option<OwnedSemaphorePermit> {
+        let free = |seats: &Arc<Semaphore>| seats.clone().try_acquire_owned().ok();
+        let kept = (rights == Rights::Orders).then(|| free(&self.seats_for_orders)).flatten();
+        kept.or_else(|| free(&self.seats))
     }
 }
 
@@ -152,7 +164,7 @@ async fn enter(
         Ok(rights) => rights,
         Err(refusal) => return (refusal.status(), refusal.to_string()).into_response(),
     };
-    let Ok(seat) = page.seats.clone().try_acquire_owned() else {
+    let Some(seat) = page.seat(rights) else {
         let words = format!("{SEATS} browsers look at this session already: close one");
         return (StatusCode::SERVICE_UNAVAILABLE, words).into_response();
     };
@@ -194,13 +206,13 @@ async fn tell(
             _ = pings.tick() => [Message::Ping(Bytes::new())].into(),
             Some(reply) = answered.recv() => [Message::Text(reply.text().into())].into(),
             Ok(()) = hello.changed() => {
-                let Some(mut facts) = hello.borrow_and_update().clone() else { continue };
-                facts["rights"] = rights.name().into();
+                let mut facts = hello.borrow_and_update().clone();
+                facts.iter_mut().for_each(|facts| facts["rights"] = rights.name().into());
                 let hello = Message::Text(json!({ "hello": facts }).to_string().into());
                 // With a hello the page forgets all that it knew.
                 [hello, Message::Text(desk.borrow_and_update().message(rights))].into()
             }
-            Ok(()) = desk.changed(), if hello.borrow().is_some() => {
+            Ok(()) = desk.changed() => {
                 [Message::Text(desk.borrow_and_update().message(rights))].into()
             }
             update = updates.recv() => match update {
@@ -334,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_viewer_that_comes_early_is_told_the_desk_after_the_hello_and_anew_after_every_other() {
+    fn a_viewer_that_comes_early_is_told_the_desk_with_every_hello() {
         let audience = Arc::new(Audience::new());
         let name: SessionName = "early".parse().unwrap();
         let access = Access::new(SocketAddr::from(([127, 0, 0, 1], 1)), false).unwrap();
@@ -352,7 +364,8 @@ mod tests {
                 }
             };
             audience.desk.send_modify(|desk| desk.facts = json!({"person": "anna"}));
-            tokio::task::yield_now().await;
+            assert_eq!(next_text().await, r#"{"hello":null}"#);
+            assert_eq!(next_text().await, r#"{"desk":{"person":"anna"}}"#);
             for _ in 0..2 {
                 audience.hello.send_replace(Some(json!({})));
                 assert_eq!(next_text().await, r#"{"hello":{"rights":"orders"}}"#);

@@ -36,7 +36,7 @@ pub type Update = Arc<[Message]>;
 /// Where the viewers listen.
 #[derive(Debug)]
 pub struct Audience {
-    /// The session's facts; `None` before there is one.
+    /// The session's facts; `None` while none runs.
     pub hello: watch::Sender<Option<Value>>,
     /// What happens in it.
     pub updates: broadcast::Sender<Update>,
@@ -85,6 +85,7 @@ pub fn watch(watched: &Watched, audience: &Audience, stop: &Arc<AtomicBool>) -> 
                         let config =
                             Config::parse(&text, std::path::Path::new("the session's configuration"))?;
                         watch_session(&config, audience, stop)?;
+                        audience.hello.send_replace(None);
                     }
                     None => std::thread::sleep(SESSION_LOOK),
                 }

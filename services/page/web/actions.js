@@ -6,6 +6,8 @@ import { show, text } from "./texts.js";
 
 /** The terminal's letters for the gestures of the paper; every gesture up to the tenth also has its number. */
 const LETTERS = { rest: "n", extension: "e", flexion: "f", ulnar: "u", radial: "r", grip: "g" };
+/** Letters of a note that are said again. */
+const LONGEST_SHOWN = 60;
 const MODE_WITHIN_MS = 2000;
 
 const byId = (id) => document.getElementById(id);
@@ -119,7 +121,8 @@ export class Actions {
   }
 
   leaveNote(note, done) {
-    this.requests.ask("note", { note }, { words: text("do.note", { note }), done });
+    const words = note.length > LONGEST_SHOWN ? `${note.slice(0, LONGEST_SHOWN)}…` : note;
+    this.requests.ask("note", { note }, { words: text("do.note", { note: words }), done });
   }
 
   /** What this page may do now. */

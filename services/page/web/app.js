@@ -119,7 +119,7 @@ function draw() {
     if (calibration.isOn) showStanding(calibrationStanding(calibration.calibration, calibration.people));
     else if (hello.kind === "failed") showFailed();
     else {
-      showStanding(standing(hello, state));
+      showStanding(standing(hello, state, desk));
       for (const part of [recognition, arm, latency, task, actions]) part.showState(state);
     }
   }
@@ -135,7 +135,7 @@ function showFailed() {
 }
 
 function showAway(why) {
-  if (requests.isChanging && (why === "lost" || why === "opening")) why = "changing";
+  if (requests.isChanging && ["lost", "opening", "no-session"].includes(why)) why = "changing";
   showStanding({ tone: "away", title: text(`away.${why}`), detail: text(`away.${why}-detail`) });
 }
 

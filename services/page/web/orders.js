@@ -155,6 +155,8 @@ export class Orders {
     show(this.stop.lastElementChild, text(this.stopNote()));
     show(this.arm.firstElementChild, text(this.asked.has("arm") ? "arm-button-asked" : "arm-button"));
     show(this.arm.lastElementChild, text("arm-note"));
+    this.stop.classList.toggle("is-watching", this.rights === "watch");
+    this.arm.classList.toggle("is-asked", this.asked.has("arm"));
     this.stop.classList.toggle("is-away", !this.connection.isOpen);
     this.stop.classList.toggle("is-asked", this.asked.has("stop"));
     this.stop.classList.toggle("is-stopped", isStopped);

@@ -16,9 +16,11 @@ const HOW_FOUND = [
   "way-leaves-box",
 ];
 
-/** Title, detail and tone ("go", "move", "wait", "stop") of a state. */
-export function standing(hello, state) {
+/** Title, detail and tone ("go", "move", "wait", "stop", "away") of a state; `desk` is null while nobody tells it. */
+export function standing(hello, state, desk) {
   // Whatever else the arm has said last is old.
+  if (state.arm_is_silent && desk === null)
+    return { tone: "away", title: text("away.silent"), detail: text("away.silent-detail") };
   if (state.arm_is_silent) return line("stop", "arm-silent");
   const channels = troublesInWords(hello, state);
   const reason = state.stop_reason ? text(`reason.${state.stop_reason}`) : "";

@@ -9,7 +9,9 @@ import { number, show, text } from "./texts.js";
 const SHOWN_MS = 5000;
 const LABEL_PX = 74;
 const METER_PX = 64;
-const AXIS_PX = 18;
+/** Words below the traces, larger on a large screen, and the height they take. */
+const axisFontPx = () => Math.max(13, Math.min(18, 0.0095 * innerWidth));
+const axisPx = () => axisFontPx() + 5;
 /** A trace is filled from its least to its most value, and at least so thick to both sides: cheaper than a stroke. */
 const HALF_LINE_PX = 0.7;
 /** Rows lower than this show no words. */
@@ -129,7 +131,7 @@ export class Traces {
     sheet.clear();
     const count = hello.channels.length;
     if (count === 0) return;
-    const rowPx = (sheet.height - AXIS_PX) / count;
+    const rowPx = (sheet.height - axisPx()) / count;
     const plotPx = sheet.width - LABEL_PX - METER_PX;
     const top = this.amplitude.follow(this.greatestPeak());
     const envelopeTop = this.envelopeScale.follow(this.greatestEnvelope());
@@ -251,12 +253,14 @@ export class Traces {
   drawAxis(plotPx) {
     const { context, height, width } = this.sheet;
     context.fillStyle = colour("quiet");
-    context.font = `13px ${FONT}`;
-    const middle = height - AXIS_PX / 2;
+    context.font = `${axisFontPx()}px ${FONT}`;
+    const middle = height - axisPx() / 2;
+    const [ago, now] = [text("seconds-ago", { seconds: SHOWN_MS / 1000 }), text("now")];
     context.textAlign = "left";
-    context.fillText(text("seconds-ago", { seconds: SHOWN_MS / 1000 }), LABEL_PX, middle);
+    if (context.measureText(ago + now).width + 10 < plotPx) context.fillText(ago, LABEL_PX, middle);
     context.textAlign = "right";
-    context.fillText(text("now"), LABEL_PX + plotPx, middle);
+    context.fillText(now, LABEL_PX + plotPx, middle);
+    context.font = `13px ${FONT}`;
     context.fillText(text("envelope"), width, middle, METER_PX - 8);
     context.textAlign = "left";
   }
