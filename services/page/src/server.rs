@@ -197,6 +197,8 @@ async fn tell(
             Ok(()) = hello.changed() => {
                 let Some(mut facts) = hello.borrow_and_update().clone() else { continue };
                 facts["rights"] = rights.name().into();
+                // A page begins anew with every hello.
+                desk.mark_changed();
                 [Message::Text(json!({ "hello": facts }).to_string().into())].into()
             }
             Ok(()) = desk.changed() => [Message::Text(desk.borrow_and_update().message(rights))].into(),
