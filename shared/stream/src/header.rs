@@ -60,7 +60,7 @@ pub enum HeaderError {
         "the header says {field}, which means nothing here: it has name, channels, rate_hz and unit, as in {EXAMPLE}"
     )]
     Unknown {
-        /// Its name, as JSON.
+        /// Its name.
         field: String,
     },
     /// It does not end.
@@ -94,8 +94,7 @@ impl Header {
             return if bytes.len() < LONGEST_HEADER { Ok(None) } else { Err(HeaderError::TooLong) };
         };
         let line = &bytes[..end];
-        let no_object =
-            |column| HeaderError::Json { column, line: shown(&String::from_utf8_lossy(line).into()) };
+        let no_object = |column| HeaderError::Json { column, line: shown(&String::from_utf8_lossy(line)) };
         let value = serde_json::from_slice(line).map_err(|error| no_object(error.column().max(1)))?;
         let Value::Object(fields) = value else { return Err(no_object(1)) };
         let header = Header::of_fields(fields)?;
@@ -124,7 +123,7 @@ impl Header {
         };
         match fields.into_iter().next() {
             None => Ok(header),
-            Some((field, _)) => Err(HeaderError::Unknown { field: shown(&field.into()) }),
+            Some((field, _)) => Err(HeaderError::Unknown { field: shown(&field) }),
         }
     }
 }
@@ -137,16 +136,19 @@ fn take<T>(
     read: impl Fn(&Value) -> Option<T>,
 ) -> Result<Option<T>, HeaderError> {
     let Some(value) = fields.remove(field) else { return Ok(None) };
-    read(&value).map(Some).ok_or_else(|| HeaderError::Field { field, found: shown(&value), expected })
+    read(&value).map(Some).ok_or_else(|| HeaderError::Field {
+        field,
+        found: shown(&value.to_string()),
+        expected,
+    })
 }
 
-/// The beginning of a value as JSON, so that nothing in it acts on a terminal.
-fn shown(value: &Value) -> String {
-    let text = value.to_string();
-    match text.char_indices().nth(SHOWN) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text,
-    }
+/// The beginning of what was found, without anything that acts on a terminal.
+fn shown(found: &str) -> String {
+    let mut characters =
+        found.chars().map(|character| if character.is_control() { '\u{fffd}' } else { character });
+    let begin: String = characters.by_ref().take(SHOWN).collect();
+    if characters.next().is_some() { begin + "…" } else { begin }
 }
 
 #[cfg(test)]
@@ -191,9 +193,9 @@ mod tests {
             said("\"channels\": 4").starts_with("the header says channels: 4: give the name of each channel")
         );
         assert!(said("\"channels\": [\"a\", 2]").starts_with("the header says channels: [\"a\",2]: give"));
-        assert!(said("\"gain\": 1").starts_with("the header says \"gain\", which means nothing here"));
+        assert!(said("\"gain\": 1").starts_with("the header says gain, which means nothing here"));
         assert!(
-            said("oops").contains("from column 36 on, it is no JSON object: \"{\\\"channels\\\":"),
+            said("oops").contains("from column 38 on, it is no JSON object: {\"channels\":"),
             "{}",
             said("oops")
         );
