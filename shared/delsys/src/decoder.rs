@@ -95,7 +95,7 @@ impl Decoder {
     fn decode(&mut self, instant: &[u8]) -> Result<(), OutOfStep> {
         for (number, (slot, bytes)) in (1..).zip(self.slots.iter_mut().zip(instant.chunks_exact(4))) {
             let value = f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
-            if !(value.abs() <= LARGEST_VALUE) {
+            if value.is_nan() || value.abs() > LARGEST_VALUE {
                 return Err(OutOfStep { slot: number, value });
             }
             slot.same = if value.to_bits() == slot.value.to_bits() { slot.same.saturating_add(1) } else { 1 };
