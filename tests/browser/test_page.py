@@ -376,6 +376,42 @@ class InBrowser(PageCase):
         page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest' && document.querySelector('#stop').offsetParent !== null")
         self.assertEqual(self.session.orders, [])
 
+    def test_a_stopped_calibration_says_what_is_kept_and_leads_back(self):
+        self.session.kind = "calibration"
+        self.session.desk = {"calibration": CUE | {"ask": "wait", "may": ["go-on", "stop"]}}
+        page = self.open()
+        page.wait_for(f"{TITLE} === 'Ready? Press Go on'")
+        page.click("#languages [lang=en]")
+        page.press_enter()
+        self.session.desk = {"calibration": CUE | {"phase": "stopped", "ask": "nothing", "may": []}}
+        page.wait_for(f"{TITLE} === 'The calibration was stopped'"
+                      " && document.querySelectorAll('.report-orders button').length === 3")
+        self.assertEqual(page.text("#standing-detail"), "What was recorded is kept. anna stays as calibrated before.")
+        page.click(".report-orders button:last-child")
+        page.wait_for(is_shown("#next"))
+        page.press("Escape", "Escape", 27)
+        page.click(".report-orders button:nth-child(2)")
+        page.wait_for(f"{ANSWERED} === 'Session as before: asked …'")
+        self.assertEqual(self.session.requests, [{"calibration": "go-on"}, {"next": "back"}])
+
+    def test_at_twice_the_size_nothing_covers_what_has_the_focus(self):
+        page = self.open(width=640, height=400)
+        page.wait_for(is_shown("#next-open"))
+        covered, reached = [], ""
+        for _ in range(40):
+            page.press("Tab", "Tab", 9)
+            reached, is_seen = page.value(
+                "(() => { const focused = document.activeElement; const box = focused.getBoundingClientRect();"
+                " const top = document.elementFromPoint(box.x + box.width / 2, Math.max(box.y, 0) + 4);"
+                " return [focused.id || focused.parentElement.id, focused.contains(top)]; })()")
+            if not is_seen:
+                covered.append(reached)
+            if reached == "languages":
+                break
+        self.assertEqual((reached, covered), ("languages", []))
+        self.assertTrue(page.value("(() => { const box = document.querySelector('#stop').getBoundingClientRect();"
+                                   " return box.y >= 0 && box.y < 30; })()"), "STOP stays at the top")
+
     def test_the_way_to_the_zone_is_in_words_and_drawn(self):
         zone = {"center_mm": [386, 40, 342], "width_mm": 30}
         task = {"kind": "zones", "zone": zone, "reached": 3, "trials": 4, "overshoots": 1,
