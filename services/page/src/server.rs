@@ -352,6 +352,7 @@ mod tests {
         let access = Access::new(SocketAddr::from(([127, 0, 0, 1], 1)), false).unwrap();
         let (orders, requests) = (Orders::new(name.clone()), Requests::new(name));
         let page = Page::new(access, Files::new().unwrap(), audience.clone(), orders, requests);
+        audience.desk.send_modify(|desk| desk.facts = json!({"person": "anna"}));
         let (said, mut heard) = unbounded_channel();
         let output = futures_util::sink::unfold(said, |said, message: Message| async move {
             said.send(message).map(|()| said)
@@ -363,7 +364,6 @@ mod tests {
                     return text.to_string();
                 }
             };
-            audience.desk.send_modify(|desk| desk.facts = json!({"person": "anna"}));
             assert_eq!(next_text().await, r#"{"hello":null}"#);
             assert_eq!(next_text().await, r#"{"desk":{"person":"anna"}}"#);
             for _ in 0..2 {
