@@ -55,37 +55,28 @@ impl Orders {
         Orders { session, arming: Arc::default() }
     }
 
-    /// Gives the robot an order; its answer goes to `answers` when it comes. A stop that comes while the robot is being asked
-    /// to arm is given at once, and again afterwards, so that the two cannot overtake each other.
-    pub fn give(&self, id: u64, order: What, answers: Sender<Answer>) {
+    /// Gives the robot an order of somebody to whom the page showed the arm as it was at `seen_ns`; its answer goes to
+    /// `answers` when it comes. The robot takes an order to arm that a stop overtakes for what it is.
+    pub fn give(&self, id: u64, order: What, seen_ns: u64, answers: Sender<Answer>) {
         let answer = move |(ok, text)| Answer { id, order: order.name(), ok, text };
-        let (session, arming) = (self.session.clone(), self.arming.clone());
-        match (order, arming.clone().try_lock_owned()) {
-            (What::Arm, Ok(held)) => {
-                tokio::spawn(async move {
-                    let told = ask(session, Order::Arm).await;
-                    drop(held);
-                    // Whoever asked may be gone.
-                    let _ = answers.send(answer(told)).await;
-                });
-            }
-            (What::Arm, Err(_)) => {
-                let told = (false, "the robot is already being asked to arm: wait for its answer".to_owned());
-                let _ = answers.try_send(answer(told));
-            }
-            (What::Stop, held) => {
-                let is_arming = held.is_err();
-                drop(held);
-                tokio::spawn(async move {
-                    let told = ask(session.clone(), Order::Stop).await;
-                    let _ = answers.send(answer(told)).await;
-                    if is_arming {
-                        let _held = arming.lock().await;
-                        ask(session, Order::Stop).await;
-                    }
-                });
-            }
-        }
+        let (order, arming) = match order {
+            What::Stop => (Order::Stop, None),
+            What::Arm => match self.arming.clone().try_lock_owned() {
+                Ok(arming) => (Order::Arm { seen_ns }, Some(arming)),
+                Err(_) => {
+                    let text = "the robot is already being asked to arm: wait for its answer";
+                    let _ = answers.try_send(answer((false, text.to_owned())));
+                    return;
+                }
+            },
+        };
+        let session = self.session.clone();
+        tokio::spawn(async move {
+            let told = ask(session, order).await;
+            drop(arming);
+            // Whoever asked may be gone.
+            let _ = answers.send(answer(told)).await;
+        });
     }
 }
 

@@ -218,7 +218,7 @@ impl SessionDesk {
             }
         }
         while let Ok(Checked { asked, command_line }) = self.checked.try_recv() {
-            if self.next.is_none() {
+            if self.next.is_none() && asked.is_waited_for() {
                 self.next = Some(command_line);
                 asked.answer(&Answer::done("this session ends, and what was asked for begins"));
             }

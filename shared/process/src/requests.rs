@@ -7,13 +7,14 @@
 //! The supervisor waits for none of it.
 
 use std::net::Shutdown;
+use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixDatagram;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use nix::errno::Errno;
-use nix::sys::socket::UnixAddr;
+use nix::sys::socket::{UnixAddr, connect};
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_transport::{SessionName, own_user};
@@ -190,6 +191,12 @@ pub struct Asked {
 }
 
 impl Asked {
+    /// Whether somebody still waits for the answer. Whoever asked a session that hangs was told that it does not answer, and
+    /// has perhaps done something else: what they asked for then is left alone.
+    pub fn is_waited_for(&self) -> bool {
+        self.reply.as_ref().is_some_and(Reply::is_waited_for)
+    }
+
     /// Says what came of it.
     pub fn answer(mut self, answer: &Answer) {
         if let Some(reply) = self.reply.take() {
@@ -214,6 +221,11 @@ struct Reply {
 }
 
 impl Reply {
+    fn is_waited_for(&self) -> bool {
+        // Who waits has a socket, and closes it with the wait.
+        UnixDatagram::unbound().is_ok_and(|probe| connect(probe.as_raw_fd(), &self.to).is_ok())
+    }
+
     fn answer(&self, answer: &Answer) {
         // It is a flag and a text.
         if let Ok(text) = serde_json::to_string(answer) {
@@ -419,8 +431,12 @@ mod tests {
         };
         let one = asked.recv().unwrap();
         assert_eq!(one.request, Request::Record(true));
+        assert!(one.is_waited_for());
         one.answer(&Answer::done("recording"));
         assert_eq!(requester.join().unwrap().unwrap(), Answer::done("recording"));
+        // Nobody answers in time: nobody waits any more.
+        assert!(matches!(ask_session(&session, &Request::Record(true)), Err(RequestError::NoAnswer(_))));
+        assert!(!asked.recv().unwrap().is_waited_for());
         drop(socket);
         assert!(matches!(session_status(&session), Err(RequestError::NotRunning(_))));
     }

@@ -457,9 +457,9 @@ impl<'a> Watch<'a> {
         !measurements.has_finished() && dsp.received + dsp.lost >= published
     }
 
-    /// The next request that has come, for whoever runs the session to answer.
+    /// The next request that has come and whose sender still waits, for whoever runs the session to answer.
     pub fn take_request(&mut self) -> Option<Asked> {
-        self.requests.pop_front()
+        std::iter::from_fn(|| self.requests.pop_front()).find(Asked::is_waited_for)
     }
 
     /// Looks once a second whether the files are there through which the stages reach each other.

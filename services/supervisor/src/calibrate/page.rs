@@ -64,7 +64,11 @@ impl CalibrationPage {
             match events.recv_timeout(HOLD_LOOK) {
                 Ok(Event::Request(asked)) => {
                     let Request::Next(next) = &asked.request else { continue };
-                    match self.after(options, config, next) {
+                    let after = self.after(options, config, next);
+                    if !asked.is_waited_for() {
+                        continue;
+                    }
+                    match after {
                         Ok(command_line) => {
                             asked.answer(&Answer::done("what was asked for begins"));
                             let handover = self.page.keys();

@@ -140,14 +140,14 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
     rig.pass(100);
     rig.arm();
     rig.pass(600);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.assert_stopped(StopReason::Ordered);
     rig.assert_arms();
 
     // Nor after a stop, or an error, while it waited: more than the distance is in question then.
     let mut rig = turned(30.0);
     rig.pass(100);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.assert_stopped(StopReason::Ordered);
     rig.assert_arms();
     let mut rig = turned(30.0);
@@ -183,7 +183,7 @@ fn a_stop_while_connecting_and_a_restart_leave_the_arm_where_it_is() {
     let mut rig = Rig::near();
     rig.arm.0.borrow_mut().report.link = Link::Connecting;
     rig.pass(500);
-    assert_eq!(rig.controller.order_stop(), StopAnswer::NotConnected);
+    assert_eq!(rig.controller.order_stop(rig.now_ns), StopAnswer::NotConnected);
     assert_eq!(rig.arm(), ArmAnswer::NotConnected(StopReason::NeverConnected));
     rig.arm.0.borrow_mut().report.link = Link::Connected;
     rig.assert_stopped(StopReason::Ordered);
@@ -221,7 +221,7 @@ fn tendon_arm_is_answered_with_what_is_so() {
     assert_eq!(rig.arm(), ArmAnswer::AlreadyArmed);
     rig.pass(1000);
     assert_eq!(rig.arm(), ArmAnswer::AwaitsRest);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     // The emergency stop is pressed.
     rig.arm.0.borrow_mut().refuses = Some(Stop::because(StopReason::NotReady));
     assert_eq!(rig.arm(), ArmAnswer::Failed(Stop::because(StopReason::NotReady)));
@@ -231,18 +231,18 @@ fn tendon_arm_is_answered_with_what_is_so() {
     rig.controller.order_arm(rig.now_ns);
     rig.pass(20);
     assert_eq!(rig.permission(), Permission::Stopped, "not before it is up");
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     assert_eq!(rig.controller.take_answer(), Some(ArmAnswer::Failed(Stop::because(StopReason::Ordered))));
     rig.pass(300);
     assert_eq!(rig.permission(), Permission::Stopped);
     assert_eq!(rig.arm(), ArmAnswer::Armed);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.arm.0.borrow_mut().report.link = Link::Connecting;
     assert_eq!(rig.arm(), ArmAnswer::NotConnected(StopReason::ConnectionBroke));
     let mut rig = Rig::on_the_way();
     assert_eq!(rig.arm(), ArmAnswer::GoingToStart);
     // One that never comes up.
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.controller.order_arm(rig.now_ns);
     rig.arm.0.borrow_mut().report.link = Link::BringingUp;
     for _ in 0..3000 {
@@ -256,7 +256,7 @@ fn tendon_arm_is_answered_with_what_is_so() {
 #[test]
 fn an_error_is_cleared_only_once_it_was_shown() {
     let mut rig = Rig::moving();
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.pass(300);
     rig.arm.0.borrow_mut().report.error_code = Some(31);
     rig.controller.order_arm(rig.now_ns);
