@@ -277,7 +277,12 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page() {
     let hello = again.next("hello", |_| true);
     assert_eq!((&hello["strategy"], &hello["rights"]), (&json!("threshold"), &json!("orders")));
     again.next("desk", |desk| desk["task"].is_object());
-    again.next("state", |state| state["permission"].is_string());
+    // It begins stopped, and waits for somebody who says that the arm may move.
+    let state = again.next("state", |_| true);
+    assert_eq!((&state["permission"], &state["stop_reason"]), (&json!("stopped"), &json!("next-session")));
+    again.say(&json!({"order": {"id": 1, "what": "arm", "seen_ns": again.state_now()["seen_ns"]}}));
+    assert_eq!(again.next("answer", |_| true)["ok"], true);
+    again.next("state", |state| state["permission"] != "stopped");
     assert!(page.request(&page.watch, &[]).is_ok());
     tendon.signal(Signal::SIGTERM);
     let ended = tendon.end();

@@ -60,10 +60,12 @@ fn main() -> ExitCode {
                 (Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, now_ns())?), Some(owned))
             }
         };
+        let settings =
+            ControlSettings { waits_at_start: process.follows_on_session, ..control_settings(config) };
         let stopped = process.is_restarted.then_some(StopReason::StageEnded);
         let never = Arc::new(AtomicBool::new(false));
         let robot = Robot {
-            controller: Controller::new(arm, control_settings(config), stopped, now_ns()),
+            controller: Controller::new(arm, settings, stopped, now_ns()),
             owned,
             states: Publisher::open(&process.session, &STATES, STATE_LENGTH, Delivery::Live, never)?,
             delivery,
@@ -98,6 +100,7 @@ fn control_settings(config: &Config) -> ControlSettings {
         arm: config.robot.arm.clone(),
         has_gripper,
         start_speed_rad_per_s: config.robot.xarm.start_speed_deg_per_s.to_radians(),
+        waits_at_start: false,
         needs_calibration: config.decision.strategy == Strategy::Threshold,
         increment_samples: config.dsp.windows.increment_samples as u64,
         rest_windows: rest_windows(config),

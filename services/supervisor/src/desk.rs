@@ -261,9 +261,9 @@ impl SessionDesk {
         self.next.take()
     }
 
-    /// What this session hands on, where there is a page.
-    pub fn handover(&self, page: Option<&PageKeys>) -> Option<Handover> {
-        page.map(|page| Handover { page: page.clone(), run: self.run.clone() })
+    /// What this session hands on.
+    pub fn handover(&self, page: Option<&PageKeys>) -> Handover {
+        Handover { page: page.cloned(), run: self.run.clone() }
     }
 
     /// Lets decision take the mode of this name.

@@ -18,12 +18,12 @@ use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
 use tendon_output::OutputErrors;
 use tendon_people::{Person, PersonInUse};
-use tendon_process::{Order, Ready};
+use tendon_process::{Order, PageKeys, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    ChildrenError, Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch,
-    Writer, gesture_keys, stop_on_signals,
+    Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer,
+    gesture_keys, stop_on_signals,
 };
 use tendon_session_file::RecordingReport;
 use tendon_transport::{Delivery, Leftovers, SessionLock};
@@ -54,16 +54,27 @@ struct Companions {
 }
 
 impl Companions {
-    fn start(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
-        let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
+    /// Starts the page, in place of the one `before` if there was one, and waits until it listens: whoever has it can stop the
+    /// arm before it moves for the first time.
+    fn start_page(
+        options: &Options,
+        config: &Config,
+        before: Option<&PageKeys>,
+        errors: &Writer,
+    ) -> Result<Companions, Failure> {
+        let page = options.page.page.then(|| Page::start(&options.page, config, before, errors));
+        let mut page = page.transpose().map_err(Failure::running)?;
+        // One that cannot listen says so, and the session goes on without it.
+        page.iter_mut().for_each(|page| drop(page.wait_until_there()));
+        Ok(Companions { outlet: None, page })
+    }
+
+    /// Starts what needs the topics of the stages.
+    fn start_outlet(&mut self, config: &Config, errors: &Writer) -> Result<(), Failure> {
         let outlet =
             config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, |_| (), errors));
-        let page = options.page.page.then(|| Page::start(&options.page, config, before.as_ref(), errors));
-        let failed = |error: ChildrenError| Failure::running(error);
-        Ok(Companions {
-            outlet: outlet.transpose().map_err(failed)?,
-            page: page.transpose().map_err(failed)?,
-        })
+        self.outlet = outlet.transpose().map_err(Failure::running)?;
+        Ok(())
     }
 
     /// Says what there is to say of them. Does not wait.
@@ -201,11 +212,16 @@ fn run_locked(
     } else {
         None
     };
-    let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors)
+    let handover = Handover::received().map_err(Failure::input)?;
+    let before = handover.as_ref().and_then(|handover| handover.page.as_ref());
+    let mut companions = Companions::start_page(options, config, before, &terminal.errors)?;
+    let follows = handover.is_some();
+    let mut watch = Watch::start(config, &robot, (&sender, events), observer, follows, &terminal.errors)
         .map_err(Failure::input)?;
     let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
     watch.plan_recording(plan.map_err(Failure::input)?).map_err(Failure::input)?;
-    let watched = watch_until_the_end(&mut watch, options, config, (&mut known.task, &mut desk), terminal);
+    let beside = (&mut known.task, &mut desk, &mut companions);
+    let watched = watch_until_the_end(&mut watch, options, config, beside, terminal);
     // From now on nobody is told that it runs.
     drop(desk);
     let task_report = known.task.as_ref().and_then(|task| task.report(watch.observer().states_lost()));
@@ -245,7 +261,7 @@ fn watch_until_the_end(
     watch: &mut Watch<'_>,
     options: &Options,
     config: &Config,
-    (task, desk): (&mut Option<TaskRun>, &mut SessionDesk),
+    (task, desk, companions): (&mut Option<TaskRun>, &mut SessionDesk, &mut Companions),
     terminal: &Terminal,
 ) -> Result<Option<Following>, Failure> {
     if watch.wait_until_ready().map_err(failure)? == Turn::Over {
@@ -259,7 +275,7 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    let mut companions = Companions::start(options, config, &terminal.errors)?;
+    companions.start_outlet(config, &terminal.errors)?;
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
@@ -284,7 +300,7 @@ fn watch_until_the_end(
             return Ok(None);
         }
         if let Some(command_line) = desk.take_next() {
-            let handover = companions.page.as_ref().and_then(|page| desk.handover(page.keys()));
+            let handover = desk.handover(companions.page.as_ref().and_then(Page::keys));
             return Ok(Some(Following { command_line, handover }));
         }
     }

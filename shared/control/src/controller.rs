@@ -38,6 +38,8 @@ pub struct ControlSettings {
     pub has_gripper: bool,
     /// Greatest speed of a joint on the way to the start position, rad/s.
     pub start_speed_rad_per_s: f64,
+    /// Whether the arm waits for an order to arm at the start, also where it would set out, or follow, by itself.
+    pub waits_at_start: bool,
     /// Whether rest is known only once the activity detector is calibrated.
     pub needs_calibration: bool,
     /// Samples from one window to the next.
@@ -96,8 +98,8 @@ pub struct Controller {
     failure: Option<Stop>,
     /// Whether it has followed commands in this session.
     has_followed: bool,
-    /// Whether the arm waits for nothing but a word that it may go to its start position, which is far away.
-    waits_to_go_far: bool,
+    /// Whether the arm waits for nothing but a word that it may go to its start position.
+    waits_to_go: bool,
     connecting_since_ns: Option<u64>,
     /// When the supervisor was last heard; `None` without one.
     supervisor_heard_ns: Option<u64>,
@@ -140,7 +142,7 @@ impl Controller {
             stopped_ns: stopped.map(|_| now_ns),
             failure: None,
             has_followed: false,
-            waits_to_go_far: false,
+            waits_to_go: false,
             connecting_since_ns: None,
             supervisor_heard_ns: None,
             woke_ns: None,
@@ -271,7 +273,8 @@ impl Controller {
     /// Somebody ordered to permit motion again. [`Controller::take_answer`] tells what came of it, at once or once the
     /// arm is up.
     ///
-    /// An arm that waits because its start position is far away goes there; any other follows from where it is.
+    /// An arm that waits only because its start position is far away, or at the start of a session that follows on another,
+    /// goes there; any other follows from where it is.
     pub fn order_arm(&mut self, now_ns: u64) {
         self.notice_stall(now_ns);
         let report = self.arm.report();
@@ -295,7 +298,8 @@ impl Controller {
                     self.answer = Some(ArmAnswer::Failed(fault));
                     return;
                 }
-                let goes_to_start = self.waits_to_go_far;
+                let is_there = report.joints_rad.is_some_and(|joints_rad| self.start.is_at(&joints_rad));
+                let goes_to_start = self.waits_to_go && !is_there;
                 self.latch.stop(Stop::because(StopReason::Ordered));
                 self.latch.forget_reason();
                 self.asked = Some(Asked { deadline_ns: now_ns + BRING_UP_TIMEOUT_NS });
@@ -317,6 +321,9 @@ impl Controller {
                 None => self.start.permit(departure, &joints_rad, &limits).map_err(Stop::because),
             };
             match permitted {
+                Ok(()) if self.settings.waits_at_start => {
+                    self.wait(Stop::because(StopReason::NextSession), now_ns);
+                }
                 Ok(()) if self.start.is_at(&joints_rad) => self.bring_up(Drive::Flange, false, now_ns),
                 Ok(()) => self.bring_up(Drive::Joints, false, now_ns),
                 Err(stop) => self.wait(stop, now_ns),
@@ -343,7 +350,8 @@ impl Controller {
         self.gripper.stopped();
         self.latch.stop(stop);
         self.stopped_ns = self.stopped_ns.max(Some(now_ns));
-        self.waits_to_go_far = stop.reason == StopReason::StartIsFar && !self.has_followed;
+        let asks_to_go = matches!(stop.reason, StopReason::StartIsFar | StopReason::NextSession);
+        self.waits_to_go = asks_to_go && !self.has_followed;
         if self.phase != Phase::Connecting {
             self.phase = Phase::Waiting;
         }
@@ -383,7 +391,7 @@ impl Controller {
                 if let Some(stop) = report.error_code.map(Stop::by_fault).or(report.stop) {
                     let before = self.latch.reason();
                     self.latch.stop(stop);
-                    self.waits_to_go_far = false;
+                    self.waits_to_go = false;
                     if self.latch.reason() != before {
                         self.stopped_ns = self.stopped_ns.max(Some(now_ns));
                     }
@@ -416,6 +424,10 @@ impl Controller {
                 _ if self.latch.permission() == Permission::Stopped => {
                     // The process before may have left a gripper on its way.
                     self.arm.stop();
+                    Phase::Waiting
+                }
+                Link::Up(_) if self.settings.waits_at_start => {
+                    self.wait(Stop::because(StopReason::NextSession), now_ns);
                     Phase::Waiting
                 }
                 Link::Up(_) => Phase::Following,

@@ -431,14 +431,26 @@ mod tests {
         };
         let one = asked.recv().unwrap();
         assert_eq!(one.request, Request::Record(true));
-        assert!(one.is_waited_for());
         one.answer(&Answer::done("recording"));
         assert_eq!(requester.join().unwrap().unwrap(), Answer::done("recording"));
-        // Nobody answers in time: nobody waits any more.
-        assert!(matches!(ask_session(&session, &Request::Record(true)), Err(RequestError::NoAnswer(_))));
-        assert!(!asked.recv().unwrap().is_waited_for());
         drop(socket);
         assert!(matches!(session_status(&session), Err(RequestError::NotRunning(_))));
+    }
+
+    #[test]
+    fn nobody_waits_for_a_request_that_was_not_answered_in_time() {
+        let session = name("late");
+        let (sender, asked) = channel();
+        let _socket =
+            RequestSocket::listen(&session, String::new(), move |one| sender.send(one).unwrap()).unwrap();
+        let requester = {
+            let session = session.clone();
+            std::thread::spawn(move || ask_session(&session, &Request::Record(true)))
+        };
+        let one = asked.recv().unwrap();
+        assert!(one.is_waited_for());
+        assert!(matches!(requester.join().unwrap(), Err(RequestError::NoAnswer(_))));
+        assert!(!one.is_waited_for());
     }
 
     #[test]

@@ -61,7 +61,7 @@ impl<'a> AcquisitionWatch<'a> {
     ) -> Result<AcquisitionWatch<'a>, SessionFailure> {
         let session = Session::join(&config.session, "calibrate")?;
         let blocks = Subscriber::open(&session, &BLOCKS, None, Delivery::Live)?;
-        let children = Children::start(&[Stage::Acquisition], config, sender, robot, standard_error)?;
+        let children = Children::start(&[Stage::Acquisition], config, sender, robot, false, standard_error)?;
         Ok(AcquisitionWatch { children, events, blocks, last_block: Instant::now(), _session: session })
     }
 

@@ -111,7 +111,8 @@ pub struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    /// Starts the stages. `robot`, `sender` and `events` are those that keys and signals were given.
+    /// Starts the stages. `robot`, `sender` and `events` are those that keys and signals were given. In a session that
+    /// `follows_on_session` the arm waits for an order to arm before it moves at all.
     ///
     /// # Errors
     ///
@@ -121,9 +122,11 @@ impl<'a> Watch<'a> {
         robot: &RobotLine,
         (sender, events): (&Sender<Event>, Receiver<Event>),
         observer: Observer,
+        follows_on_session: bool,
         standard_error: &Writer,
     ) -> Result<Watch<'a>, ChildrenError> {
-        let children = Children::start(&Stage::ALL, config, sender, robot, standard_error)?;
+        let children =
+            Children::start(&Stage::ALL, config, sender, robot, follows_on_session, standard_error)?;
         Ok(Watch {
             config,
             events,

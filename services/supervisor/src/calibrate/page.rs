@@ -45,7 +45,7 @@ impl CalibrationPage {
             return Ok(None);
         }
         let received = Handover::received().map_err(Failure::input)?;
-        let before = received.as_ref().map(|handover| &handover.page);
+        let before = received.as_ref().and_then(|handover| handover.page.as_ref());
         let mut page = Page::start(&options.page, config, before, errors).map_err(Failure::running)?;
         let run = received.map_or_else(|| session_with_the_same_settings(options), |handover| handover.run);
         let is_there = page.wait_until_there();
@@ -71,9 +71,8 @@ impl CalibrationPage {
                     match after {
                         Ok(command_line) => {
                             asked.answer(&Answer::done("what was asked for begins"));
-                            let handover = self.page.keys();
                             let handover =
-                                handover.map(|page| Handover { page: page.clone(), run: self.run.clone() });
+                                Handover { page: self.page.keys().cloned(), run: self.run.clone() };
                             return Some(Following { command_line, handover });
                         }
                         Err(error) => asked.answer(&Answer::refused(format!("{error:#}"))),

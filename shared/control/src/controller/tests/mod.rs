@@ -25,6 +25,7 @@ fn settings() -> ControlSettings {
         arm: ArmSettings::default(),
         has_gripper: true,
         start_speed_rad_per_s: 10.0_f64.to_radians(),
+        waits_at_start: false,
         needs_calibration: false,
         increment_samples: 150,
         rest_windows: REST_WINDOWS,

@@ -163,6 +163,47 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
 }
 
 #[test]
+fn in_a_session_that_follows_on_another_the_arm_waits_before_it_goes_to_its_start_position() {
+    let settings = ControlSettings { waits_at_start: true, ..settings() };
+    let mut near_rad = settings.arm.start_joints_rad();
+    near_rad[0] += 0.18;
+    let mut rig = Rig::new(settings.clone(), near_rad, None);
+    rig.pass(100);
+    assert!(rig.controller.is_ready());
+    rig.assert_stopped(StopReason::NextSession);
+    rig.rest(1);
+    assert_eq!(rig.arm(), ArmAnswer::GoingToStart);
+    for _ in 0..130 {
+        if rig.phase() != ArmPhase::Following {
+            rig.rest(1);
+        }
+    }
+    assert_eq!((rig.phase(), rig.permission()), (ArmPhase::Following, Permission::AwaitRest));
+    // One that a stop has reached meanwhile is not sent there, nor one that was not left in good order.
+    let mut rig = Rig::new(settings.clone(), near_rad, None);
+    rig.pass(100);
+    rig.controller.order_stop(rig.now_ns);
+    rig.assert_stopped(StopReason::Ordered);
+    rig.assert_arms();
+    let mut rig = Rig::new(settings.clone(), near_rad, None);
+    rig.supervisor_lives = false;
+    rig.pass(8);
+    rig.controller.hear_supervisor(rig.now_ns);
+    rig.controller.depart(Departure::NoRecord, rig.now_ns);
+    rig.supervisor_lives = true;
+    rig.assert_stopped(StopReason::NotLeftInGoodOrder);
+    rig.assert_arms();
+    // One that is there already, and one that is always up, as the simulated arm.
+    for link in [Link::Connected, Link::Up(Drive::Flange)] {
+        let mut rig = Rig::new(settings.clone(), settings.arm.start_joints_rad(), None);
+        rig.arm.0.borrow_mut().report.link = link;
+        rig.pass(100);
+        rig.assert_stopped(StopReason::NextSession);
+        rig.assert_arms();
+    }
+}
+
+#[test]
 fn an_arm_that_stands_outside_the_box_is_driven_back_by_its_user_alone() {
     let mut settings = settings();
     // It stands 27 mm beyond this face, and 80 mm from its start position.
