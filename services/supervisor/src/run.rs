@@ -64,8 +64,10 @@ impl Companions {
     ) -> Result<Companions, Failure> {
         let page = options.page.page.then(|| Page::start(&options.page, config, before, errors));
         let mut page = page.transpose().map_err(Failure::running)?;
-        // One that cannot listen says so, and the session goes on without it.
-        page.iter_mut().for_each(|page| drop(page.wait_until_there()));
+        if let Some(page) = &mut page {
+            // One that cannot listen says so, and the session goes on without it.
+            let _ = page.wait_until_there();
+        }
         Ok(Companions { outlet: None, page })
     }
 
