@@ -1,17 +1,18 @@
 //! The page of a session: shows it in a browser, and passes on orders and requests. `tendon run --page` and `tendon page` start it.
 //!
 //! ```text
-//! topics ──looked at every 8 ms──▶ watching thread ─▶ View, Traces ─▶ Audience
-//! browser ◀─ WebSocket ── server, one thread ◀──────────────────────────┘
+//! topics ──looked at 30 times a second──▶ watching thread ─▶ View, Traces ─▶ Audience
+//! browser ◀─ WebSocket ── server, one thread ◀─────────────────────────────────┘
 //! browser ── orders, with the token ──▶ server ─▶ the robot's own socket
 //! browser ── requests, with the token ▶ server ─▶ the supervisor's socket, and the recorder's for notes
-//! browser ◀─ desk ── server ◀─ desk thread ◀─ the supervisor's status, asked for 20 times a second
+//! browser ◀─ desk ── server ◀─ desk thread ◀─ the supervisor's status, asked for 5 to 20 times a second
 //! ```
 //! It is an observer: nobody waits for it, and its end is not the session's.
 #![forbid(unsafe_code)]
 
 mod access;
 mod browser;
+mod connections;
 mod desk;
 mod files;
 mod orders;
@@ -33,7 +34,7 @@ use anyhow::Context;
 use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tendon_config::Config;
-use tendon_process::{PAGE_VARIABLE, PageKeys};
+use tendon_process::{PAGE_VARIABLE, PageKeys, leave_core_to_stages};
 use tendon_transport::SessionName;
 
 use crate::access::Access;
@@ -109,14 +110,17 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
         .build()
         .context("cannot serve")?;
     let (ended, end) = tokio::sync::oneshot::channel();
+    say(&keys, arguments.config.is_some())?;
+    // The browser may run where it likes, so it comes first.
+    let _signpost = arguments.browser.then(|| open_browser(&keys)).flatten();
+    // Where that is refused, the page costs the session a little more.
+    let _ = leave_core_to_stages();
     let asking = (audience.clone(), stop.clone());
     start("desk", move || desk::follow(&session, &asking.0, &asking.1))?;
     start("watching", move || {
         // Whoever waits for it is there until it comes.
         let _ = ended.send(watching::watch(&watched, &audience, &stop));
     })?;
-    say(&keys, arguments.config.is_some())?;
-    let _signpost = arguments.browser.then(|| open_browser(&keys)).flatten();
     let result = runtime.block_on(async {
         tokio::select! {
             served = server::serve(listener, page) => served.context("cannot serve"),

@@ -18,7 +18,7 @@ use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
 use tendon_output::OutputErrors;
 use tendon_people::{Person, PersonInUse};
-use tendon_process::{Order, PageKeys, Ready};
+use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
@@ -37,7 +37,7 @@ use crate::page::Page;
 use crate::personal::check_signal;
 use crate::screen::{KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
-use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, recorded, zones};
+use crate::{Failure, TERMINAL_TIMEOUT, checks, failed, provenance, recorded, zones};
 
 /// Longest time between two looks at what the stages say. Their messages do not wait for it, but the heartbeat does.
 const TICK: Duration = Duration::from_millis(50);
@@ -49,30 +49,43 @@ const LSL_OUTLET: &str = "tendon-lsl-outlet";
 
 /// The programs that observe the session, as far as they are asked for.
 struct Companions {
+    /// What the session before handed on, if there was one.
+    before: Option<Handover>,
     outlet: Option<Companion>,
     page: Option<Page>,
 }
 
 impl Companions {
-    /// Starts the page, in place of the one `before` if there was one, and waits until it listens: whoever has it can stop the
-    /// arm before it moves for the first time.
-    fn start_page(
-        options: &Options,
-        config: &Config,
-        before: Option<&PageKeys>,
-        errors: &Writer,
-    ) -> Result<Companions, Failure> {
-        let page = options.page.page.then(|| Page::start(&options.page, config, before, errors));
-        let mut page = page.transpose().map_err(Failure::running)?;
-        if let Some(page) = &mut page {
+    /// Starts the page and waits until it listens, before the stages: whoever has it can stop the arm before it moves for the
+    /// first time. In a session that follows on another the arm waits, and the page comes once the session has begun.
+    fn before_the_stages(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
+        let before = Handover::received().map_err(Failure::input)?;
+        let mut companions = Companions { before, outlet: None, page: None };
+        if !companions.follow_on_session() {
+            companions.start_page(options, config, errors)?;
             // One that cannot listen says so, and the session goes on without it.
-            let _ = page.wait_until_there();
+            let _ = companions.page.as_mut().map(Page::wait_until_there);
         }
-        Ok(Companions { outlet: None, page })
+        Ok(companions)
     }
 
-    /// Starts what needs the topics of the stages.
-    fn start_outlet(&mut self, config: &Config, errors: &Writer) -> Result<(), Failure> {
+    /// Whether there was a session before, at whose page this one was asked for.
+    fn follow_on_session(&self) -> bool {
+        self.before.is_some()
+    }
+
+    fn start_page(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
+        let before = self.before.as_ref().and_then(|before| before.page.as_ref());
+        let page = options.page.page.then(|| Page::start(&options.page, config, before, errors));
+        self.page = page.transpose().map_err(Failure::running)?;
+        Ok(())
+    }
+
+    /// Starts what is missing, once the stages are ready.
+    fn start_rest(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
+        if self.follow_on_session() {
+            self.start_page(options, config, errors)?;
+        }
         let outlet =
             config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, |_| (), errors));
         self.outlet = outlet.transpose().map_err(Failure::running)?;
@@ -86,9 +99,18 @@ impl Companions {
     }
 }
 
-/// Runs a session, and gives what is to follow on it. However it ends, the files that were asked for are written; not with a
-/// configuration that makes no sense, because it may name one of them as an input.
+/// Runs a session, and gives what is to follow on it. Of one that could not begin, the page that it was asked for at says why.
 pub fn run(options: &Options) -> Result<Option<Following>, Failure> {
+    let mut has_begun = false;
+    match run_and_report(options, &mut has_begun) {
+        Err(failure) if !has_begun => failed::show(failure, &options.page),
+        result => result,
+    }
+}
+
+/// Runs a session, and says whether it began. However it ends, the files that were asked for are written; not with a configuration that makes no sense,
+/// because it may name one of them as an input.
+fn run_and_report(options: &Options, has_begun: &mut bool) -> Result<Option<Following>, Failure> {
     // What a replay takes out of its recording lies in the folder, if it takes anything.
     let (config, _folder) = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
@@ -103,6 +125,7 @@ pub fn run(options: &Options) -> Result<Option<Following>, Failure> {
     let terminal = Terminal { output, errors };
     let mut known = Known::default();
     let result = run_configured(options, &config, &mut known, &terminal);
+    *has_begun = known.measurements.is_some();
     let written = known.report(&result, &outputs, &terminal);
     // What is said of the end comes after all else, if the terminal takes it.
     let _ = terminal.errors.finish(TERMINAL_TIMEOUT);
@@ -214,10 +237,8 @@ fn run_locked(
     } else {
         None
     };
-    let handover = Handover::received().map_err(Failure::input)?;
-    let before = handover.as_ref().and_then(|handover| handover.page.as_ref());
-    let mut companions = Companions::start_page(options, config, before, &terminal.errors)?;
-    let follows = handover.is_some();
+    let mut companions = Companions::before_the_stages(options, config, &terminal.errors)?;
+    let follows = companions.follow_on_session();
     let mut watch = Watch::start(config, &robot, (&sender, events), observer, follows, &terminal.errors)
         .map_err(Failure::input)?;
     let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
@@ -277,7 +298,7 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    companions.start_outlet(config, &terminal.errors)?;
+    companions.start_rest(options, config, &terminal.errors)?;
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
