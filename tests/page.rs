@@ -319,7 +319,8 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
     // It begins stopped, and waits for somebody who says that the arm may move.
     let state = again.next("state", |_| true);
     assert_eq!((&state["permission"], &state["stop_reason"]), (&json!("stopped"), &json!("next-session")));
-    again.say(&json!({"order": {"id": 1, "what": "arm", "seen_ns": again.state_now()["seen_ns"]}}));
+    let seen_ns = again.state_now()["seen_ns"].clone();
+    again.say(&json!({"order": {"id": 1, "what": "arm", "seen_ns": seen_ns}}));
     assert_eq!(again.next("answer", |_| true)["ok"], true);
     again.next("state", |state| state["permission"] != "stopped");
     assert!(page.request(&page.watch, &[]).is_ok());
