@@ -34,7 +34,7 @@ use anyhow::Context;
 use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tendon_config::Config;
-use tendon_process::{PAGE_VARIABLE, PageKeys, leave_core_to_stages};
+use tendon_process::{PAGE_VARIABLE, PageKeys};
 use tendon_transport::SessionName;
 
 use crate::access::Access;
@@ -110,17 +110,14 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
         .build()
         .context("cannot serve")?;
     let (ended, end) = tokio::sync::oneshot::channel();
-    say(&keys, arguments.config.is_some())?;
-    // The browser may run where it likes, so it comes first.
-    let _signpost = arguments.browser.then(|| open_browser(&keys)).flatten();
-    // Where that is refused, the page costs the session a little more.
-    let _ = leave_core_to_stages();
     let asking = (audience.clone(), stop.clone());
     start("desk", move || desk::follow(&session, &asking.0, &asking.1))?;
     start("watching", move || {
         // Whoever waits for it is there until it comes.
         let _ = ended.send(watching::watch(&watched, &audience, &stop));
     })?;
+    say(&keys, arguments.config.is_some())?;
+    let _signpost = arguments.browser.then(|| open_browser(&keys)).flatten();
     let result = runtime.block_on(async {
         tokio::select! {
             served = server::serve(listener, page) => served.context("cannot serve"),

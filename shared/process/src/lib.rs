@@ -42,7 +42,7 @@ pub use requests::{
     Answer, Asked, CalibrationRequest, GestureRequest, Next, NextCalibration, NextSession, Request,
     RequestError, RequestSocket, ask_session, session_status,
 };
-pub use scheduling::{Policy, RealtimeRefused, Scheduling, leave_core_to_stages, schedule};
+pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
 
 /// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older
 /// intentions are no intentions: the person has seen since what the arm did.

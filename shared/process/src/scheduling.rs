@@ -141,34 +141,12 @@ pub fn schedule(settings: &SchedulingSettings, stage: Stage) -> Result<Schedulin
     Ok(Scheduling { policy, memory_locked, core, shortfall: shortfall.join("; ") })
 }
 
-/// Keeps the calling thread, and those that it starts, off the core that the stages run on, if there is another: an observer that
-/// works there takes the core's caches from them.
-///
-/// # Errors
-///
-/// The kernel's refusal; the thread runs where it did.
-pub fn leave_core_to_stages() -> Result<(), Errno> {
-    let this_thread = Pid::from_raw(0);
-    let mut allowed = sched_getaffinity(this_thread)?;
-    let cores = (0..CpuSet::count()).filter(|core| allowed.is_set(*core) == Ok(true)).count();
-    if cores > 1 {
-        allowed.unset(last_core(&allowed)?)?;
-        sched_setaffinity(this_thread, &allowed)?;
-    }
-    Ok(())
-}
-
-/// The core of the stages: the last that this thread may run on (interrupts tend to go to the first).
-fn last_core(allowed: &CpuSet) -> Result<usize, Errno> {
-    let core = (0..CpuSet::count()).rev().find(|core| allowed.is_set(*core) == Ok(true));
-    core.ok_or(Errno::EINVAL)
-}
-
-/// Restricts the process to one core.
+/// Restricts the process to the last core it may run on (interrupts tend to go to the first).
 fn pin_to_one_core(shortfall: &mut Vec<String>) -> Option<usize> {
     let this_process = Pid::from_raw(0);
     let pinned = sched_getaffinity(this_process).and_then(|allowed| {
-        let core = last_core(&allowed)?;
+        let core = (0..CpuSet::count()).rev().find(|core| allowed.is_set(*core) == Ok(true));
+        let core = core.ok_or(Errno::EINVAL)?;
         let mut one = CpuSet::new();
         one.set(core)?;
         sched_setaffinity(this_process, &one)?;
@@ -227,31 +205,6 @@ fn set_attributes(change: impl FnOnce(Attributes) -> Attributes) -> Result<(), E
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn an_observer_runs_everywhere_but_on_the_core_of_the_stages() {
-        std::thread::spawn(|| {
-            let this_thread = Pid::from_raw(0);
-            let before = sched_getaffinity(this_thread).unwrap();
-            leave_core_to_stages().unwrap();
-            let after = sched_getaffinity(this_thread).unwrap();
-            let cores = |set: &CpuSet| -> Vec<usize> {
-                (0..CpuSet::count()).filter(|core| set.is_set(*core).unwrap()).collect()
-            };
-            let mut expected = cores(&before);
-            if expected.len() > 1 {
-                expected.pop();
-            }
-            assert_eq!(cores(&after), expected);
-            // Where there is one core only, it stays there.
-            pin_to_one_core(&mut Vec::new()).unwrap();
-            let one = cores(&sched_getaffinity(this_thread).unwrap());
-            leave_core_to_stages().unwrap();
-            assert_eq!(cores(&sched_getaffinity(this_thread).unwrap()), one);
-        })
-        .join()
-        .unwrap();
-    }
 
     #[test]
     fn a_short_slice_leaves_the_nice_value_as_it_is() {
