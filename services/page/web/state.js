@@ -14,6 +14,7 @@ const HOW_FOUND = [
   "start-beyond-limit",
   "outside-box",
   "way-leaves-box",
+  "next-session",
 ];
 
 /** Title, detail and tone ("go", "move", "wait", "stop", "away") of a state; `desk` is null while nobody tells it. */

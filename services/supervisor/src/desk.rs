@@ -232,7 +232,7 @@ impl SessionDesk {
             }
         }
         while let Ok(Checked { asked, command_line }) = self.checked.try_recv() {
-            if self.next.is_none() {
+            if self.next.is_none() && asked.is_waited_for() {
                 self.next = Some(command_line);
                 asked.answer(&Answer::done("this session ends, and what was asked for begins"));
             }
@@ -279,14 +279,14 @@ impl SessionDesk {
         self.next.take()
     }
 
-    /// What this session hands on, where there is a page.
-    pub fn handover(&self, page: Option<&PageKeys>) -> Option<Handover> {
-        page.map(|page| Handover {
-            page: page.clone(),
+    /// What this session hands on.
+    pub fn handover(&self, page: Option<&PageKeys>) -> Handover {
+        Handover {
+            page: page.cloned(),
             run: self.run.clone(),
             session: self.session.clone(),
             is_recorded: self.desk.recording.is_some(),
-        })
+        }
     }
 
     /// Lets decision take the mode of this name.
