@@ -164,7 +164,8 @@ class RealSessions(PageCase):
         page.wait_for("/^\\d+\\u00a0%$/.test(document.querySelector('.accuracy').textContent)")
         self.screenshot(page, "calibration-report")
         page.click(".report-orders .begins")
-        page.wait_for(f"{ANSWERED} === 'Session with anna: begun' && {IS_LIVE}", LIMIT_S)
+        page.wait_for(f"{ANSWERED} === 'Session with anna: begun' && {IS_LIVE} && {TITLE} === 'The arm waits'", LIMIT_S)
+        page.click("#arm")
         page.wait_for(f"/^(Ready|Following) · /.test({TITLE})", LIMIT_S)
         self.assertIn("anna", page.text("#session-facts"))
 
