@@ -199,7 +199,7 @@ impl Observer {
 
     /// Whether the session still runs.
     pub fn is_running(&self) -> bool {
-        is_running(self.session.name())
+        self.session.is_running()
     }
 }
 
