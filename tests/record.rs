@@ -8,15 +8,10 @@ use std::process::Command;
 
 use nix::sys::signal::{Signal, kill};
 use tendon_session_file::{EventKind, Message, Reader};
+use tendon_system_tests::recorded_sessions::{file_in, replay_and_compare};
 use tendon_system_tests::recordings::write_three_dc;
 use tendon_system_tests::{Ended, Tendon, TendonBuilder, unique_session, wait_until};
 use tendon_transport::{SessionName, now_ns};
-
-/// The file of the one session that was recorded to `folder`, once it is there.
-fn file_in(folder: &Path) -> Option<PathBuf> {
-    let session = std::fs::read_dir(folder).ok()?.next()?.ok()?;
-    Some(session.path().join("session.mcap")).filter(|file| file.is_file())
-}
 
 /// What the file holds so far. It may still be written.
 fn messages_of(file: &Path) -> Vec<Message> {
@@ -87,15 +82,6 @@ fn disturbed_session(
     wait_for_commands(&mut session, folder, 30);
     session.signal(Signal::SIGINT);
     (session.end(), file_in(folder).unwrap())
-}
-
-/// Replays the file at full speed, recorded to `folder`; gives what the comparison of the two says.
-fn replay_and_compare(name: &SessionName, file: &Path, folder: &Path, arguments: &[&str]) -> Ended {
-    let replay = TendonBuilder::command(name, &["run", "--session", &name.to_string(), "--pace", "full"]);
-    let replay = replay.args(&["--realtime", "off"]).args(arguments).arg("--replay").arg(file);
-    let replay = replay.arg("--record").arg(folder).end();
-    assert_eq!(replay.exit_code, Some(0), "{replay:#?}");
-    TendonBuilder::command(name, &["compare"]).arg(file).arg(file_in(folder).unwrap()).end()
 }
 
 #[test]

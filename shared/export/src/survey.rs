@@ -84,6 +84,8 @@ pub struct Survey {
     pub is_whole: bool,
     /// Damaged pieces of the file that were left out.
     pub damaged_pieces: u64,
+    /// Their bytes.
+    pub damaged_bytes: u64,
 }
 
 impl Survey {
@@ -138,6 +140,7 @@ impl Survey {
             ranges: samples.ranges.into_iter().map(|range| range.unwrap_or_default()).collect(),
             is_whole: reader.is_whole(),
             damaged_pieces: reader.damaged_pieces(),
+            damaged_bytes: reader.damaged_bytes(),
         })
     }
 
