@@ -199,7 +199,7 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     let name = unique_session();
     let folder = tempfile::tempdir().unwrap();
     ask(&name, &["note", "electrode 3 is loose"])
-        .assert_failed(2, &["is not being recorded", "--record FOLDER"]);
+        .assert_failed(2, &["no session `", "is running", "name another with --session"]);
     let session = start_recording(&name, folder.path());
     let noted = ask(&name, &["note", "electrode 3 is loose"]);
     assert!(noted.output.starts_with("noted in "), "{noted:#?}");
@@ -207,7 +207,9 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     wait_until("the note on it", || {
         session.errors_so_far().contains("the recording has stopped: the recorder ended").then_some(())
     });
-    ask(&name, &["note", "too late"]).assert_failed(2, &["is not being recorded"]);
+    ask(&name, &["note", "too late"]).assert_failed(2, &["is not being recorded", "--record FOLDER"]);
+    let other = unique_session();
+    ask(&other, &["note", "nobody"]).assert_failed(2, &[&format!("no session `{other}`"), &name.to_string()]);
     let messages = messages_of(&file_in(folder.path()).unwrap());
     let is_note =
         |message: &Message| matches!(message, Message::Event(event) if event.text == "electrode 3 is loose");
@@ -221,6 +223,12 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     };
     let exports = tempfile::tempdir().unwrap();
     let tables = exports.path().join("tables");
+    let export_of_all = TendonBuilder::command(&unique_session(), &["export"]).arg(folder.path());
+    let refused = export_of_all.arg("--csv").arg(&tables).end();
+    refused.assert_failed(
+        2,
+        &["name one of the recorded sessions in it", file.parent().unwrap().to_str().unwrap()],
+    );
     let exported = export(&tables, &[]);
     assert_eq!(exported.exit_code, Some(0), "{exported:#?}");
     assert!(exported.errors.contains("the recording was cut"), "{exported:#?}");

@@ -66,7 +66,7 @@ fn mains(text: &str) -> Result<f64, String> {
 
 /// Exports a session.
 pub fn export(options: &Options) -> Result<(), Failure> {
-    let path = file_of(&options.session);
+    let path = file_of(&options.session).map_err(Failure::input)?;
     if let Some(folder) = &options.csv {
         check_tables(folder, options.force).map_err(Failure::input)?;
     }

@@ -170,7 +170,7 @@ fn heads_of_trigno_discover_and_emgworks_are_read() {
             let acc = if acc { format!("{:.8},{:.4}", row as f64 / 148.1481, emg(row, 9)) } else { ",".to_owned() };
             format!("{},{acc},{},{},{}", pair(0), pair(1), pair(2), pair(3))
         });
-    let names = ["EMG 1 (mV)", "EMG 2 (mV)", "EMG 3 (mV)", "EMG 4 (mV)"];
+    let names = ["EMG 1", "EMG 2", "EMG 3", "EMG 4"];
     assert_eq!(assert_read(&discover, names, 1259.2593, 1500, "mV"), []);
 
     let works = "Trial;Sensors 4\nLength;1,5\nX[s];L Flexor: EMG 1 [V];Extensor: EMG 2 [V];a: EMG 3 [V];b: EMG 4 [V]\n"
@@ -178,7 +178,7 @@ fn heads_of_trigno_discover_and_emgworks_are_read() {
         + &rows(1500, |row| {
             format!("{:.6};{}", row as f64 / 2000.0, samples(row, 4, ";")).replace('.', ",")
         });
-    let names = ["L Flexor: EMG 1 [V]", "Extensor: EMG 2 [V]", "a: EMG 3 [V]", "b: EMG 4 [V]"];
+    let names = ["L Flexor: EMG 1", "Extensor: EMG 2", "a: EMG 3", "b: EMG 4"];
     assert_eq!(assert_read(&works, names, 2000.0, 1500, "V"), []);
 
     let demo = "(1)Avanti,(1)Avanti,(2)Avanti,(2)Avanti\nEMG 1 (1925.926),EMG 2 (1925.926),EMG 3 (1925.926),EMG 4 (1925.926)\n"
@@ -331,6 +331,7 @@ fn a_long_silence_is_named_with_its_place() {
     let [Notice::Gaps { .. }, silence @ Notice::Silence { .. }] = &notices[..] else { panic!("{notices:?}") };
     let said = silence.to_string();
     assert!(said.contains("after 0.5 s of samples, 86400 s are missing"), "{said}");
+    assert!(said.contains("silent for 10 s of them"), "{said}");
 }
 
 #[test]
