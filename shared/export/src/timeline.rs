@@ -13,7 +13,7 @@ use tendon_messages::Stage;
 use tendon_session_file::{Block, TraceRecord};
 
 /// A block is published no later than this after it was captured, ns; sessions act on far newer ones only.
-const MOST_AGE_NS: u64 = 10_000_000_000;
+const MOST_AGE_NS: u64 = 1_000_000_000;
 
 /// When the newest sample of a block was captured, CLOCK_MONOTONIC ns: as its source says, if that can be.
 pub(crate) fn captured_ns(block: &Block) -> u64 {

@@ -235,7 +235,8 @@ fn heads_of_opensignals_acqknowledge_labchart_and_noraxon_are_read() {
     let muscles = ["LT BICEPS BR.,uV", "RT BICEPS BR.,uV", "LT TRICEPS,uV", "RT TRICEPS,uV"];
     let noraxon = format!("\"time,s\",Activity,\"{}\"\n", muscles.join("\",\""))
         + &rows(500, |row| format!("{:.4},,{}", row as f64 / 2000.0, samples(row, 4, ",")));
-    assert_eq!(assert_read(&noraxon, muscles, 2000.0, 500, "uV"), []);
+    let named = muscles.map(|muscle| muscle.trim_end_matches(",uV"));
+    assert_eq!(assert_read(&noraxon, named, 2000.0, 500, "uV"), []);
 
     // pandas numbers columns without names.
     let pandas =
@@ -295,7 +296,7 @@ fn names_in_latin_1_are_read() {
     let settings =
         RecordingSettings { channels, sample_rate_hz: Some(1000.0), ..RecordingSettings::default() };
     let summary = check(&path, &settings).unwrap();
-    assert_eq!((summary.channels, summary.unit.as_str()), (vec!["f\u{fc}r (\u{b5}V)".to_owned()], "\u{b5}V"));
+    assert_eq!((summary.channels, summary.unit.as_str()), (vec!["f\u{fc}r".to_owned()], "\u{b5}V"));
 }
 
 #[test]
