@@ -41,3 +41,24 @@ fn blocks_and_increments_that_cannot_work_are_refused_by_name() {
     run("dsp.windows.increment_samples=301")
         .assert_failed(2, &["dsp.windows.increment_samples", "robot.arm.watchdog_ms"]);
 }
+
+#[test]
+fn what_a_session_would_read_is_listed_for_sources_on_the_network() {
+    let listed = |settings: &[&str]| {
+        let settings = settings.iter().flat_map(|setting| ["--set", setting]);
+        let arguments: Vec<&str> = ["sources", "--wait", "50ms"].into_iter().chain(settings).collect();
+        let ended = TendonBuilder::command(&unique_session(), &arguments).end();
+        assert_eq!(ended.exit_code, Some(0), "{ended:?}");
+        ended.output
+    };
+    let otb = listed(&["acquisition.source=otb"]);
+    assert!(otb.contains("from: otb (Muovi, which dials in at 0.0.0.0:54321)"), "{otb}");
+    assert!(otb.contains("delsys    Delsys Trigno at 127.0.0.1, port 50040\n"), "{otb}");
+    assert!(otb.contains("stream    a program that connects to 127.0.0.1:5577\n"), "{otb}");
+    let nidaqmx =
+        listed(&["acquisition.source=nidaqmx", "acquisition.nidaqmx.library=/nonexistent/libnidaqmx.so"]);
+    assert!(
+        nidaqmx.contains("from: nidaqmx (cannot be used: ") && nidaqmx.contains("nidaqmx   not there"),
+        "{nidaqmx}"
+    );
+}

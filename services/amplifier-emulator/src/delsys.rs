@@ -212,7 +212,7 @@ mod tests {
         let mut packet = Vec::new();
         write_instant(&[2, 4], &[100.0, -50.0], &mut packet);
         let mut decoder = tendon_delsys::Decoder::new(RATE_HZ);
-        let (_, volts) = decoder.push(&packet);
+        let (_, volts) = decoder.push(&packet).unwrap();
         assert_eq!(volts[..5], [0.0, 100.0 * 1e-6, 0.0, -50.0 * 1e-6, 0.0]);
     }
 }

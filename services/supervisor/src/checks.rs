@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use tendon_classifier::{Recogniser, RecogniserFiles, WindowSource};
 use tendon_config::{Config, Gestures, Source};
-use tendon_daqmx::Daqmx;
+use tendon_daqmx::{Daqmx, NidaqmxSettings};
 use tendon_emg_simulation::Script;
 use tendon_gesture::Strategy;
 use tendon_lsl::{Lsl, LslSettings};
@@ -156,6 +156,24 @@ pub fn source(config: &Config) -> anyhow::Result<String> {
         )),
         Source::Stream => Ok(format!("a program that connects to {}", acquisition.stream.address)),
         Source::Device => Ok("a device".to_owned()),
+    }
+}
+
+/// NI's driver and its devices.
+pub fn nidaqmx(settings: &NidaqmxSettings) -> String {
+    let daqmx = match Daqmx::load(settings.library.as_deref()) {
+        Ok(daqmx) => daqmx,
+        Err(error) => return format!("not there, needed only for NI devices ({error})"),
+    };
+    let library = daqmx.path().display();
+    match daqmx.version().and_then(|version| Ok((version, daqmx.devices()?))) {
+        Err(error) => format!("{library} does not answer: {error}"),
+        Ok((version, devices)) => {
+            let devices: Vec<String> =
+                devices.iter().map(|device| format!("{} ({})", device.name, device.product)).collect();
+            let devices = if devices.is_empty() { "none".to_owned() } else { devices.join(", ") };
+            format!("{library} found, version {version}; devices: {devices}")
+        }
     }
 }
 

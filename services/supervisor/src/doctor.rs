@@ -2,7 +2,6 @@
 
 use clap::Args;
 use tendon_config::{Backend, Config, Realtime, SchedulingSettings, Source};
-use tendon_daqmx::Daqmx;
 use tendon_messages::Stage;
 use tendon_paths::PrivateFolder;
 use tendon_process::Policy;
@@ -71,7 +70,8 @@ pub fn examine(options: &Options) -> Result<(), Failure> {
     let config = configuration(&mut findings, &options.base);
     folders(&mut findings, &config);
     findings.add_checked("source", checks::source(&config));
-    nidaqmx(&mut findings, &config);
+    // Without it, only sessions with an NI device do not run, which the source's finding says.
+    findings.add(Weight::Good, "NI-DAQmx", &checks::nidaqmx(&config.acquisition.nidaqmx));
     findings.add_checked("model and runtime", checks::models(&config));
     lsl(&mut findings, &config);
     shared_memory(&mut findings, &config);
@@ -135,24 +135,6 @@ fn lsl(findings: &mut Findings, config: &Config) {
         Err(error) if config.outlets.lsl => findings.add(Weight::Broken, "LSL", &format!("{error:#}")),
         Err(error) => findings.add(Weight::Good, "LSL", &format!("not used here; {error:#}")),
     }
-}
-
-/// NI's driver and its devices. Without it, only sessions with an NI device do not run, which the source's finding says.
-fn nidaqmx(findings: &mut Findings, config: &Config) {
-    let library = config.acquisition.nidaqmx.library.as_deref();
-    let finding = match Daqmx::load(library) {
-        Err(error) => format!("not there, needed only for NI devices ({error})"),
-        Ok(daqmx) => match daqmx.version().and_then(|version| Ok((version, daqmx.devices()?))) {
-            Err(error) => format!("{} does not answer: {error}", daqmx.path().display()),
-            Ok((version, devices)) => {
-                let devices: Vec<String> =
-                    devices.iter().map(|device| format!("{} ({})", device.name, device.product)).collect();
-                let devices = if devices.is_empty() { "none".to_owned() } else { devices.join(", ") };
-                format!("{} found, version {version}; devices: {devices}", daqmx.path().display())
-            }
-        },
-    };
-    findings.add(Weight::Good, "NI-DAQmx", &finding);
 }
 
 fn shared_memory(findings: &mut Findings, config: &Config) {

@@ -5,13 +5,13 @@ use std::time::Duration;
 
 use clap::Args;
 use serde::Serialize;
-use tendon_config::{AcquisitionSettings, Source};
+use tendon_config::{AcquisitionSettings, Config, Source};
 use tendon_lsl::{Inlet, Lsl, StreamFacts};
 use tendon_output::collect;
 
-use crate::Failure;
 use crate::options::{Base, duration};
 use crate::output::{checked, print, tell};
+use crate::{Failure, checks};
 
 /// How long a stream may take to describe its channels.
 const ANSWER: Duration = Duration::from_secs(1);
@@ -34,6 +34,10 @@ pub struct Options {
 struct Sources {
     /// The source of a session with this configuration.
     configured: &'static str,
+    /// What that is, or why it cannot be used.
+    configured_detail: String,
+    /// NI's driver and its devices.
+    nidaqmx: String,
     lsl: LslSources,
 }
 
@@ -54,9 +58,22 @@ pub fn list(options: &Options) -> Result<(), Failure> {
     let config = options.base.configuration().map_err(Failure::input)?;
     let acquisition = &config.acquisition;
     tell(format_args!("listening for {}", humantime::format_duration(options.wait)));
-    let sources = Sources { configured: acquisition.source.name(), lsl: lsl(acquisition, options.wait) };
+    let sources = Sources {
+        configured: acquisition.source.name(),
+        configured_detail: detail(&config),
+        nidaqmx: checks::nidaqmx(&acquisition.nidaqmx),
+        lsl: lsl(acquisition, options.wait),
+    };
     let written = collect(json.iter().map(|json| json.write_json(&sources))).map_err(Failure::running);
-    written.and(print(text(&sources, acquisition)).map_err(Failure::running))
+    written.and(print(text(&sources, &config)).map_err(Failure::running))
+}
+
+/// What a session with this configuration reads. Streams of LSL are listed anyway.
+fn detail(config: &Config) -> String {
+    match config.acquisition.source {
+        Source::Lsl => format!("the stream with {}", config.acquisition.lsl.describe()),
+        _ => checks::source(config).unwrap_or_else(|error| format!("cannot be used: {error:#}")),
+    }
 }
 
 fn lsl(acquisition: &AcquisitionSettings, wait: Duration) -> LslSources {
@@ -87,14 +104,22 @@ fn lsl(acquisition: &AcquisitionSettings, wait: Duration) -> LslSources {
     }
 }
 
-fn text(sources: &Sources, acquisition: &AcquisitionSettings) -> String {
-    let mut lines = vec![format!("sessions here take their samples from: {}", sources.configured)];
+fn text(sources: &Sources, config: &Config) -> String {
+    let acquisition = &config.acquisition;
+    let Sources { configured, configured_detail, .. } = sources;
+    let mut lines =
+        vec![format!("sessions here take their samples from: {configured} ({configured_detail})")];
     let mut source = |name: &str, what: String| lines.push(format!("{name:<10}{what}"));
     source("simulate", "the simulated amplifier".to_owned());
     source("replay", "a recording: tendon run --replay PATH".to_owned());
     let program = acquisition.program.as_ref().map(|program| program.display().to_string());
     let device = program.unwrap_or_else(|| "no program: acquisition.program names one".to_owned());
     source(Source::Device.name(), device);
+    source(Source::Nidaqmx.name(), sources.nidaqmx.clone());
+    for network in [Source::Otb, Source::Delsys, Source::Stream] {
+        let acquisition = AcquisitionSettings { source: network, program: None, ..acquisition.clone() };
+        source(network.name(), detail(&Config { acquisition, ..config.clone() }));
+    }
     let LslSources { library, version, problem, streams } = &sources.lsl;
     match (library, problem) {
         (Some(library), _) => {

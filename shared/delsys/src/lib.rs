@@ -6,7 +6,8 @@
 //! ```
 //!
 //! The samples have no counter and no times. What is lost on the radio cannot be seen in the stream; the server sends zeros or
-//! held values then, so a slot that stands still is taken for a lost sensor.
+//! held values then, so a slot that stands still is taken for a lost sensor. Nor has it anything to find the beginning of an instant by:
+//! values that cannot be show that bytes are missing.
 //!
 //! Sources: the Trigno SDK User Guide (MAN-025-3-5) and public clients. Nothing here was tried on the vendor's hardware.
 #![forbid(unsafe_code)]
@@ -15,6 +16,6 @@ mod decoder;
 mod reply;
 mod settings;
 
-pub use decoder::{Decoder, INSTANT_BYTES, SLOTS};
+pub use decoder::{Decoder, INSTANT_BYTES, OutOfStep, SLOTS};
 pub use reply::{Replies, ReplyError, command, frame_rate_hz, holds_one_muscle, is_yes};
 pub use settings::DelsysSettings;

@@ -125,7 +125,7 @@ impl StopReason {
 impl fmt::Display for StopReason {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(match self {
-            StopReason::NoCommands => "no fresh commands came: look for the stage that is slow or gone",
+            StopReason::NoCommands => "no fresh commands came: see whether the amplifier sends, or which stage is slow or gone",
             StopReason::SupervisorSilent => "the supervisor was silent: see whether it hangs",
             StopReason::RobotStalled => "the robot process stood still: free the processor for it",
             StopReason::Ordered => "stopped by order",

@@ -13,6 +13,8 @@ use std::time::{Duration, Instant};
 
 use tendon_messages::{STAGE_COUNT, Stage};
 
+/// A source that has published nothing for so long is named where the arm rests: it may be why.
+const SOURCE_SILENT_AFTER: Duration = Duration::from_millis(500);
 /// A stage whose count has stood still for so long, though messages wait for it, is stuck.
 const STUCK_AFTER: Duration = Duration::from_secs(1);
 /// The same for the source. Some devices take a while until their first sample.
@@ -99,12 +101,17 @@ impl ProgressWatch {
     /// The first stage on the path of a sample that is stuck, and since when, in words; `None` if none is.
     pub fn standstill(&self, now: Instant) -> Option<String> {
         let mut stuck = Stage::ALL.into_iter().filter_map(|stage| {
-            self.seen[stage.index()].filter(|seen| seen.is_stuck).map(|seen| (stage, seen.since))
+            let seen = self.seen[stage.index()]?;
+            let time = now.saturating_duration_since(seen.since);
+            let is_source = stage.upstream().is_none();
+            (seen.is_stuck || (is_source && time >= SOURCE_SILENT_AFTER)).then_some((stage, time))
         });
-        let (stage, since) = stuck.next()?;
-        let what = if stage.upstream().is_some() { "no progress" } else { "no samples" };
-        let time_s = now.saturating_duration_since(since).as_secs();
-        Some(format!("{}: {what} for {time_s} s", stage.name()))
+        let (stage, time) = stuck.next()?;
+        let time_s = time.as_secs_f64();
+        Some(match stage.upstream() {
+            Some(_) => format!("{}: no progress for {time_s:.0} s", stage.name()),
+            None => format!("{}: no samples for {time_s:.1} s", stage.name()),
+        })
     }
 
     /// A stage that is started again begins anew.
@@ -145,9 +152,12 @@ mod tests {
         let mut watch = ProgressWatch::default();
         assert!((0..50).all(|tick| watch.observe(at(100 * tick), Stage::Acquisition, 0, 0).is_none()));
         assert!((50..69).all(|tick| watch.observe(at(100 * tick), Stage::Acquisition, 0, 1).is_none()));
+        // The line of a session names it long before, since the arm rests by then.
+        assert_eq!(watch.standstill(at(5300)), None);
+        assert_eq!(watch.standstill(at(5400)).unwrap(), "acquisition: no samples for 0.5 s");
         let told = watch.observe(at(7000), Stage::Acquisition, 0, 1).unwrap();
         assert!(told.to_string().starts_with("acquisition has published no samples for 2 s"), "{told}");
-        assert_eq!(watch.standstill(at(8000)).unwrap(), "acquisition: no samples for 3 s");
+        assert_eq!(watch.standstill(at(8000)).unwrap(), "acquisition: no samples for 3.1 s");
         let told = watch.observe(at(8100), Stage::Acquisition, 1, 1);
         assert_eq!(told, Some(Notice::GoesOn(Stage::Acquisition)));
     }

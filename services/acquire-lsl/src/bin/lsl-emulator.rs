@@ -42,8 +42,8 @@ struct Arguments {
     /// Sampling rate, Hz.
     #[arg(long, default_value_t = 2000.0)]
     rate_hz: f64,
-    /// Samples of each channel in a chunk.
-    #[arg(long, default_value_t = 20)]
+    /// Samples of each channel in a chunk; by default those of a block.
+    #[arg(long, default_value_t = 10)]
     chunk: usize,
     /// Gestures, such as "rest 6s, grip 2s", repeated; by default random ones.
     #[arg(long)]
