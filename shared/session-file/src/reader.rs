@@ -225,8 +225,8 @@ impl<R: Read> Reader<R> {
         }
     }
 
-    /// Reads the next block into `block`, and passes over everything else. Whether there is one. Nothing is allocated once the
-    /// largest block and the longest piece of the file have been read.
+    /// Reads the next block into `block`, and passes over everything else. Whether there is one. Nothing is allocated for a
+    /// block once the largest one and the longest piece of the file have been read.
     ///
     /// # Errors
     ///
