@@ -1,13 +1,15 @@
 //! The page of a session, as a browser and as somebody who means harm see it.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may do what tests may")]
 
+use std::fs::Permissions;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
+use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};
-use tendon_system_tests::{Tendon, TendonBuilder, model, unique_session, wait_until};
+use tendon_system_tests::{Tendon, TendonBuilder, model, program, unique_session, wait_until};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Error, Message, WebSocket};
@@ -54,6 +56,16 @@ impl Page {
             Err(Error::Http(response)) => response.status().as_u16(),
             Err(error) => panic!("{error}"),
         }
+    }
+
+    /// A connection that says nothing, or the beginning of a request.
+    fn hold(&self, is_silent: bool) -> TcpStream {
+        let mut stream = TcpStream::connect(self.address).unwrap();
+        if !is_silent {
+            // The server may have closed it already.
+            let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost:");
+        }
+        stream
     }
 
     /// The first line of the answer to a plain request.
@@ -148,6 +160,11 @@ fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
     assert_hostile_requests_do_nothing(&page);
     assert_eq!(viewer.state_now()["permission"], "granted");
 
+    // 500 connections that ask for nothing, or never finish asking, keep neither a browser out nor a stop.
+    let idle: Vec<TcpStream> = (0..500).map(|number| page.hold(number % 2 == 0)).collect();
+    let loaded = page.plain(&format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", page.address));
+    assert!(loaded.starts_with("HTTP/1.1 200"), "{loaded}");
+    assert!(page.request(&page.watch, &[]).is_ok());
     viewer.say(&json!({"order": {"id": 7, "what": "stop"}}));
     let answer = viewer.next("answer", |_| true);
     assert_eq!((&answer["id"], &answer["order"], &answer["ok"]), (&json!(7), &json!("stop"), &json!(true)));
@@ -155,6 +172,7 @@ fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
     viewer.say(&json!({"order": {"id": 8, "what": "arm"}}));
     assert_eq!(viewer.next("answer", |_| true)["ok"], true);
     viewer.next("state", |state| state["permission"] == "granted");
+    drop(idle);
 
     // Those who only watch, and those for whom there is no seat.
     let seat = || wait_until("a seat", || page.request(&page.watch, &[]).ok());
@@ -229,13 +247,24 @@ fn the_page_records_notes_and_makes_gestures_as_far_as_its_viewer_may() {
 }
 
 #[test]
-fn the_next_session_has_what_was_asked_for_and_the_same_page() {
+fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_could_not_begin() {
     let data = tempfile::tempdir().unwrap();
+    let (amplifier, unplugged) = (data.path().join("amplifier"), data.path().join("unplugged"));
+    let script = format!(
+        "#!/bin/sh\n[ -e {} ] && {{ echo 'the amplifier has no power' >&2; exit 2; }}\nexec {} \"$@\"\n",
+        unplugged.display(),
+        program("tendon-acquisition").display()
+    );
+    std::fs::write(&amplifier, script).unwrap();
+    std::fs::set_permissions(&amplifier, Permissions::from_mode(0o755)).unwrap();
     let session = unique_session();
-    let name = session.to_string();
+    let (name, source) = (session.to_string(), format!("acquisition.program={}", amplifier.display()));
     let run =
         ["run", "--session", &name, "--page", "--page-port", "0", "--no-browser", "--strategy", "direct"];
-    let tendon = TendonBuilder::command(&session, &run).env("XDG_DATA_HOME", data.path()).start();
+    let tendon = TendonBuilder::command(&session, &run)
+        .args(&["--set", &source])
+        .env("XDG_DATA_HOME", data.path())
+        .start();
     let page = Page::of(&tendon);
     let mut viewer = page.request(&page.orders, &[]).unwrap();
     viewer.next("desk", |desk| desk["can"]["next"] == true);
@@ -252,13 +281,23 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page() {
     }
     // It goes on as it was.
     viewer.next("state", |_| true);
-    let answer = next(&mut viewer, json!({"strategy": "threshold", "task": "zones"}));
-    assert_eq!(answer["ok"], true, "{answer}");
-    assert!(viewer.is_left());
     // The next session has the same page: address and tokens stay.
-    let mut again = wait_until("the page of the next session", || {
-        TcpStream::connect(page.address).ok().and_then(|_| page.request(&page.orders, &[]).ok())
-    });
+    let change = |mut viewer: Viewer| {
+        let answer = next(&mut viewer, json!({"strategy": "threshold", "task": "zones"}));
+        assert_eq!(answer["ok"], true, "{answer}");
+        assert!(viewer.is_left());
+        wait_until("the page of the next session", || {
+            TcpStream::connect(page.address).ok().and_then(|_| page.request(&page.orders, &[]).ok())
+        })
+    };
+    std::fs::write(&unplugged, "").unwrap();
+    let mut failed = change(viewer);
+    assert_eq!(failed.next("hello", |_| true)["kind"], "failed");
+    let desk = failed.next("desk", |desk| desk["failed"].is_string());
+    assert!(desk["failed"].as_str().unwrap().contains("the amplifier has no power"), "{desk}");
+    assert_eq!(failed.next("state", |_| true)["permission"], "none");
+    std::fs::remove_file(&unplugged).unwrap();
+    let mut again = change(failed);
     let hello = again.next("hello", |_| true);
     assert_eq!((&hello["strategy"], &hello["rights"]), (&json!("threshold"), &json!("orders")));
     again.next("desk", |desk| desk["task"].is_object());
@@ -267,7 +306,7 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page() {
     tendon.signal(Signal::SIGTERM);
     let ended = tendon.end();
     assert_eq!(ended.exit_code, Some(0), "{ended:?}");
-    assert_eq!(ended.errors.matches("page: http").count(), 2, "{ended:?}");
+    assert_eq!(ended.errors.matches("page: http").count(), 3, "{ended:?}");
 }
 
 /// 200 requests that no page of ours sends.

@@ -3,7 +3,6 @@
 
 use std::path::Path;
 
-use tendon_system_tests::recorded_sessions::{file_in, replay_and_compare};
 use tendon_system_tests::{TendonBuilder, unique_session};
 
 /// Near and wide zones and no slips, so that a short session holds some of them even on a machine that is slow.
@@ -18,13 +17,9 @@ fn near_and_wide_zones(figures: &Path, arguments: &[&str]) -> TendonBuilder {
 }
 
 #[test]
-fn a_simulated_user_steers_the_arm_into_zones_and_its_recording_is_replayed_bit_for_bit() {
+fn a_simulated_user_steers_the_arm_into_zones() {
     let figures = tempfile::tempdir().unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let [recorded, replayed, tables] =
-        ["recorded", "replayed", "tables"].map(|name| folder.path().join(name));
-    let session = near_and_wide_zones(figures.path(), &["--duration", "25s"]);
-    let ended = session.arg("--record").arg(&recorded).end();
+    let ended = near_and_wide_zones(figures.path(), &["--duration", "25s"]).end();
     let task = ended.report().task.unwrap();
     assert!(task.zones_reached >= 1, "{task:#?}");
     assert_eq!((task.name.as_str(), task.user.as_str(), task.box_violations), ("zones", "simulated", 0));
@@ -36,20 +31,6 @@ fn a_simulated_user_steers_the_arm_into_zones_and_its_recording_is_replayed_bit_
     for figure in ["zones.png", "zones.svg"] {
         assert!(figures.path().join(figure).is_file(), "{figure} is missing");
     }
-
-    let file = file_in(&recorded).unwrap();
-    let compared = replay_and_compare(&unique_session(), &file, &replayed, &[]);
-    assert_eq!(compared.exit_code, Some(0), "{compared:#?}");
-    assert_eq!(
-        compared.output.matches(" 0 different, 0 only in the first, 0 only").count(),
-        2,
-        "{compared:#?}"
-    );
-    let export = TendonBuilder::command(&unique_session(), &["export"]).arg(&file).arg("--csv").arg(&tables);
-    let exported = export.end();
-    assert_eq!(exported.exit_code, Some(0), "{exported:#?}");
-    let zones = std::fs::read_to_string(tables.join("zones.csv")).unwrap();
-    assert_eq!(zones.lines().count(), 1 + task.zones.len(), "{zones}");
 }
 
 /// The plane in one mode, and x in another; a grip changes them.

@@ -56,6 +56,11 @@ class Browser:
         os.close(self._answers)
         self._profile.cleanup()
 
+    @property
+    def process_id(self):
+        """Of its first process, from which all others come."""
+        return self._process.pid
+
     def call(self, method, session=None, **parameters):
         """Gives one order and returns its result; raises RuntimeError where the browser refuses it."""
         order = {"id": self._next_id, "method": method, "params": parameters}
@@ -126,12 +131,18 @@ class Page:
                 raise AssertionError(f"not within {limit_s:.0f} s: {expression}; the page shows {shown}")
             time.sleep(0.03)
 
+    def middle_of(self, selector):
+        """Where the middle of an element is."""
+        return self.value(f"(() => {{ const box = document.querySelector({json.dumps(selector)}).getBoundingClientRect();"
+                          " return [box.x + box.width / 2, box.y + box.height / 2]; })()")
+
     def click(self, selector):
         """Presses and lets go the mouse in the middle of an element."""
-        middle = self.value(f"(() => {{ const box = document.querySelector({json.dumps(selector)}).getBoundingClientRect();"
-                            " return [box.x + box.width / 2, box.y + box.height / 2]; })()")
+        self.click_at(self.middle_of(selector))
+
+    def click_at(self, place):
         for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=middle[0], y=middle[1], button="left", clickCount=1)
+            self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
     def press(self, key, code, number, text=""):
         for kind in ("keyDown", "keyUp"):

@@ -45,7 +45,8 @@ REPORT = {
                                             for place, name in enumerate(GESTURES)],
     "channels": [{"name": f"EMG {number}", "snr_db": 24.0 - 2 * number, "remark": "hum" if number == 3 else None}
                  for number in range(8)],
-    "findings": ["ulnar and radial look alike: make them more distinctly"],
+    "findings": [{"kind": "alike", "first": "ulnar", "second": "radial", "percent": 12.4,
+                  "text": "ulnar and radial look alike in 12 % of the time: repeat them further apart"}],
     "confusion": {"gestures": GESTURES, "counts": [[40 if row == column else 5 if (row, column) == (3, 4) else 0
                                                     for column in range(6)] for row in range(6)]},
     "check": {"before": 0.71, "after": 0.99}, "file": "/home/anna/people/anna/person.toml",
@@ -65,9 +66,9 @@ class Session:
         self.is_silent = False
         self.accepts = True
         self.orders = []
-        #: What was asked of the session, and how it answers: whether it does so, and its words.
+        #: What was asked of the session, and how it answers.
         self.requests = []
-        self.answer = (True, "done")
+        self.answer = {"ok": True, "text": "done"}
         self.kind = "session"
         #: Fields of the desk that differ from a session that lets the page do everything.
         self.desk = {}
@@ -100,7 +101,7 @@ class Session:
                 pass
 
     def restart(self, kind="session"):
-        """The next session, or a calibration, takes the place of this one."""
+        """The next session, a calibration, or what could not begin takes the place of this one."""
         self.kind, self.state, self.desk = kind, {}, {}
         self._started_ns = time.monotonic_ns()
         self.drop()
@@ -111,7 +112,7 @@ class Session:
             "source": "simulate", "sample_rate_hz": 2000.0, "bin_ms": BIN_MS, "kind": self.kind,
             "channels": [{"name": str(channel), "unit": "uV"} for channel in range(self.channels)],
         }
-        if self.kind == "calibration":
+        if self.kind != "session":
             return about
         joints = [dict(a_mm=a, d_mm=d, alpha_rad=alpha, theta_offset_rad=0) for a, d, alpha in JOINTS]
         return about | {
@@ -130,7 +131,7 @@ class Session:
             "novelty": 0.2, "probabilities": [0.93 if gesture == self.gesture else 0.014 for gesture in GESTURES],
             "efforts": [0.5] * len(GESTURES), "mode": 0, "calibration_left_ms": 0, "zone": None, "recording": (self.desk or {}).get("recording"),
             "lost_samples": 0, "lost_blocks": 0, "stale": 0, "restarts": 0, "clock_drift_ppm": 0.0, "troubles": [],
-        } | (dict.fromkeys(OF_THE_ARM) | {"permission": "none"} if self.kind == "calibration" else self.state)
+        } | (dict.fromkeys(OF_THE_ARM) | {"permission": "none"} if self.kind != "session" else self.state)
 
     def whole_desk(self):
         if self.desk is None:
@@ -144,7 +145,7 @@ class Session:
 
     def take_request(self, what):
         self.requests.append(what)
-        if self.answer[0] and self.obeys:
+        if self.answer["ok"] and self.obeys:
             if "record" in what:
                 self.desk = {"recording": RECORDING if what["record"] else None}
             elif "gesture" in what:
@@ -240,9 +241,8 @@ class Requests(http.server.BaseHTTPRequestHandler):
         elif "request" in message:
             request = message["request"]
             self.of.take_request(request["what"])
-            is_done, words = self.of.answer
             kind = next(iter(request["what"]))
-            self.send({"answer": {"id": request["id"], "order": kind, "ok": is_done, "text": words}})
+            self.send({"answer": {"id": request["id"], "order": kind} | self.of.answer})
 
     def tell(self):
         """States and frames 30 times a second, latencies once."""

@@ -54,6 +54,21 @@ class Texts(unittest.TestCase):
         self.assertGreater(len(reasons), 20)
         self.assertEqual([reason for reason in reasons if f"reason.{kebab(reason)}" not in self.texts["en"]], [])
 
+    def test_all_that_the_server_says_under_a_key_has_words(self):
+        said = set()
+        for source in ("shared/process/src", "shared/session/src", "services/page/src", "services/supervisor/src"):
+            for path in (ROOT / source).rglob("*.rs"):
+                said |= set(re.findall(r'with_key\("([^"]+)"\)', path.read_text()))
+        self.assertGreater(len(said), 10)
+        findings = set()
+        for source, kind in (("shared/people/src/finding.rs", "Finding"), ("shared/guide/src/watch.rs", "Trouble")):
+            text = (ROOT / source).read_text()
+            variants = text[text.index(f"pub enum {kind} {{"):].split("\n}\n")[0]
+            findings |= {kebab(name).replace("-", "_") for name in re.findall(r"^    ([A-Z]\w+)[ ,]", variants, re.MULTILINE)}
+        self.assertGreater(len(findings), 8)
+        keys = {f"said.{key}" for key in said} | {f"finding.{kind}" for kind in findings}
+        self.assertEqual(sorted(keys - set(self.texts["en"])), [])
+
     def test_the_page_is_small(self):
         self.assertLess(sum(len(gzip.compress(path.read_bytes())) for path in WEB.iterdir()), MOST_BYTES)
 
@@ -187,7 +202,7 @@ class InBrowser(PageCase):
         self.session.desk = {"recording": RECORDING}
         page.wait_for(f"{name} === '■ Stop recording' && {ANSWERED} === 'Recording: done'")
         page.wait_for("document.querySelector('#record-facts').textContent.startsWith('2026-05-04T10-20-30 · 0:00:0')")
-        self.session.answer = (False, "the disk is full")
+        self.session.answer = {"ok": False, "text": "the disk is full"}
         page.click("#record")
         page.wait_for(f"{ANSWERED} === 'End of the recording: not done. the disk is full' && {name} === '■ Stop recording'")
         self.assertEqual(self.session.requests, [{"record": True}, {"record": False}])
@@ -236,7 +251,7 @@ class InBrowser(PageCase):
                       " && document.querySelector('#modes [aria-pressed=true]').textContent === 'x-z'")
         made = [{"gesture": {"gesture": gesture, "effort": 1}} for gesture in ("extension", "radial", "ulnar")]
         self.assertEqual(self.session.requests, made + [{"mode": "x-z"}])
-        self.session.answer = (False, "the source follows no keys")
+        self.session.answer = {"ok": False, "text": "the source follows no keys"}
         page.type("g")
         page.wait_for(f"{ANSWERED} === 'grip: not done. the source follows no keys'"
                       " && document.querySelector('[data-gesture=ulnar]').getAttribute('aria-pressed') === 'true'")
@@ -271,7 +286,7 @@ class InBrowser(PageCase):
         page.click("[data-choice=how] [data-option=replace]")
         page.press("Escape", "Escape", 27)
         page.wait_for("document.activeElement.id === 'next-open'")
-        self.session.answer = (False, "the session has a duration")
+        self.session.answer = {"ok": False, "text": "the session has a duration"}
         page.press_enter()
         page.value("document.querySelector('#calibrate-name').focus()")
         page.type("bert")
@@ -283,6 +298,24 @@ class InBrowser(PageCase):
             {"next": {"session": {"person": "anna", "strategy": "personal", "task": "zones"}}},
             {"next": {"calibrate": calibrate}}])
 
+    def test_what_could_not_begin_is_said_with_its_reason_and_something_else_begins_from_there(self):
+        page = self.open()
+        page.wait_for(is_shown("#next-open"))
+        begin = "#next .column:first-child .begins"
+        page.click("#next-open")
+        page.click(begin)
+        page.wait_for(f"{ANSWERED} === 'Next session: asked …'")
+        self.session.restart("failed")
+        self.session.desk = {"failed": "the amplifier has no power"}
+        page.wait_for(f"{IS_LIVE} && {TITLE} === 'The next one could not begin'"
+                      f" && {ANSWERED} === 'Next session: could not begin'")
+        self.assertEqual(page.text("#standing-detail"), "the amplifier has no power")
+        self.screenshot(page, "could-not-begin")
+        page.click("#next-open")
+        page.click(begin)
+        self.session.restart()
+        page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest' && {ANSWERED} === 'Next session: done'")
+
     def test_a_calibration_from_its_first_cue_to_its_report(self):
         page = self.open(width=1024, height=768)
         self.session.restart("calibration")
@@ -290,7 +323,7 @@ class InBrowser(PageCase):
             ({"ask": "wait", "may": ["go-on", "stop"]}, "Ready? Press Go on"),
             ({"ask": "relax", "gesture": "extension", "countdown_s": 3}, "Extension in 3"),
             ({}, "Grip: light, firm, light"),
-            ({"ask": "wait", "trouble": "channel 2 is flat", "may": ["go-on", "redo", "stop"]}, "Something is wrong"),
+            ({"ask": "wait", "trouble": {"kind": "flat", "channel": 2, "name": "2", "text": "channel 2 is flat"}, "may": ["go-on", "redo", "stop"]}, "Something is wrong"),
             ({"phase": "fitting", "ask": "nothing", "may": []}, "Learning from the recordings"),
         ]
         for number, (change, title) in enumerate(steps):
@@ -396,6 +429,18 @@ class InBrowser(PageCase):
         page = self.open()
         page.click("#languages [lang=fr]")
         page.wait_for(f"{TITLE} === 'Prêt · repos' && {STOP} === 'ARRÊT' && document.documentElement.lang === 'fr'")
+        # What the server says in English, too; where there is no text for it, its English.
+        for key, words in [("recording-finishing", "L’enregistrement se termine. Réessayez dans un instant."),
+                           ("of-a-later-version", "not now")]:
+            self.session.answer = {"ok": False, "text": "not now", "key": key}
+            page.click("#record")
+            said = json.dumps(f"Enregistrement\u00a0: pas fait. {words}")
+            page.wait_for(f"{ANSWERED} === {said}")
+        self.session.restart("calibration")
+        trouble = REPORT["findings"][0] | {"percent": 12.4}
+        self.session.desk = {"calibration": CUE | {"trouble": trouble}}
+        page.wait_for("document.querySelector('#standing-detail').textContent.startsWith("
+                      "'«\u00a0ulnaire\u00a0» et «\u00a0radial\u00a0» se ressemblent 12\u00a0% du temps')")
         page.value("localStorage.clear()")
 
 

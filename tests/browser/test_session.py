@@ -149,7 +149,7 @@ class RealSessions(PageCase):
         page.press_space()
         page.wait_for(f"{STOP} === 'STOPPED'", LIMIT_S)
 
-    def test_a_stranger_is_calibrated_from_the_first_cue_to_the_report(self):
+    def test_a_stranger_is_calibrated_from_the_first_cue_to_the_report_and_on_to_a_session(self):
         tendon = self.enterContext(self.home.tendon(
             "calibrate", "anna", "--set", f"session={self.name}", "--page", "--page-port", "0", "--rest", "2s", "--hold", "2s",
             "--pause", "1s", "--set", "acquisition.simulate.profile=stranger-19"))
@@ -162,6 +162,10 @@ class RealSessions(PageCase):
         page.wait_for(f"{TITLE} === 'anna is calibrated'", LIMIT_S)
         page.wait_for("/^\\d+\\u00a0%$/.test(document.querySelector('.accuracy').textContent)")
         self.screenshot(page, "calibration-report")
+        page.click(".report-orders .begins")
+        page.wait_for(f"{ANSWERED} === 'Session with anna: done' && {IS_LIVE}", LIMIT_S)
+        page.wait_for(f"/^(Ready|Following) · /.test({TITLE})", LIMIT_S)
+        self.assertIn("anna", page.text("#session-facts"))
 
 
 if __name__ == "__main__":

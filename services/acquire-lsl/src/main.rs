@@ -8,6 +8,7 @@
 
 mod rate;
 mod source;
+mod stamps;
 mod timeline;
 
 use std::process::ExitCode;

@@ -10,7 +10,8 @@ use tendon_process::{STALE_NS, SignalDescription};
 use tendon_source::{BlockAssembler, Choice, Chunk, Next, Offer, OfferedChannel, Source, SourceError, Wait};
 
 use crate::rate::ArrivalRate;
-use crate::timeline::{Arrival, Oddities, Timeline};
+use crate::stamps::{Arrival, Oddities};
+use crate::timeline::Timeline;
 
 /// How long a stream that was found may take to describe itself and to open.
 const ANSWER: Duration = Duration::from_secs(5);

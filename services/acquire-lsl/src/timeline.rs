@@ -10,41 +10,16 @@
 //! LSL carries no counter: samples are lost where time stamps leap. Stamps that a program counts are exact, and each missing
 //! sample shows. Stamps of the moment of sending jitter by milliseconds, and a late one cannot be told from a short gap.
 //!
-//! A stamp that contradicts those before it (it lies before them, or after all time that has passed) says nothing about loss or
-//! the sender's clock. Once the stamps agree with one another for a while, the clock has leapt and is measured anew. Until then,
-//! no sample counts as newer than its stamp says.
+//! While stamps contradict those before, no sample counts as newer than its stamp says.
 
 use std::ops::Range;
 
 use tendon_source::{DeviceClock, LossByTime};
 
-/// How far from whole numbers of samples the steps of exact stamps lie.
-const EXACT: f64 = 0.2;
-/// So long without another step, stamps count as exact, s.
-const EXACT_AFTER_S: f64 = 1.0;
-/// Where stamps jitter, leaps from here on are lost samples, s.
-const ROUGH_GAP_S: f64 = 0.05;
-/// A stamp further ahead of us than this is none of LSL's clock, s.
-const FUTURE_S: f64 = 0.05;
-/// A leap of the stamps beyond the time that has passed here, s, is one of the sender's clock and no loss.
-const CLOCK_LEAP_S: f64 = 0.5;
-/// So long, stamps that contradict those before agree with one another until they are believed, s.
-const SETTLED_S: f64 = 0.2;
+use crate::stamps::{Arrival, Newest, Oddities, Stamps, Step};
+
 /// Where stamps jitter, samples that come so much later than before and stay so were preceded by lost ones, ns.
 const LATE_NS: u64 = 20_000_000;
-
-/// What was odd about time stamps, counted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Oddities {
-    /// Stamps that were that of the sample before.
-    pub repeated: u64,
-    /// Stamps before that of the sample before, by more than chunks overlap that are stamped when they are sent.
-    pub backwards: u64,
-    /// Leaps of the sender's clock.
-    pub leaps: u64,
-    /// Stamps that lay in the future, or were no numbers.
-    pub impossible: u64,
-}
 
 /// A part of a frame without a gap in it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,43 +37,11 @@ pub struct Run {
 pub struct Timeline {
     sample_rate_hz: f64,
     next_sample: u64,
-    last: Option<Last>,
-    /// Steps since the last one that was not exact. Stamps count as exact until they show that they are not.
-    exact_steps: f64,
-    /// Samples in a row whose stamps contradict those before and agree with one another.
-    contradicting: f64,
+    stamps: Stamps,
     clock: DeviceClock,
     loss: LossByTime,
     /// How long before its arrival the newest sample was stamped, s.
     stamp_age_s: f64,
-    oddities: Oddities,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Last {
-    stamp_s: f64,
-    /// What its stamp should be: the stamp itself, unless it contradicts those before.
-    credible_s: f64,
-    correction_s: f64,
-    received_ns: u64,
-}
-
-impl Last {
-    /// When it was captured by our clock, as far as it is known, s.
-    fn credible_here_s(&self) -> f64 {
-        self.credible_s + self.correction_s
-    }
-}
-
-/// When a frame came, and how its stamps are understood.
-#[derive(Clone, Copy, Debug)]
-pub struct Arrival {
-    /// Whether it is the first one of another connection.
-    pub is_new_connection: bool,
-    /// Is added to the stamps to have them on our clock, s.
-    pub correction_s: f64,
-    /// CLOCK_MONOTONIC ns.
-    pub received_ns: u64,
 }
 
 impl Timeline {
@@ -107,25 +50,26 @@ impl Timeline {
         Timeline {
             sample_rate_hz,
             next_sample: 0,
-            last: None,
-            exact_steps: EXACT_AFTER_S * sample_rate_hz,
-            contradicting: 0.0,
+            stamps: Stamps::new(sample_rate_hz),
             clock: DeviceClock::default(),
             loss: LossByTime::new(LATE_NS),
             stamp_age_s: 0.0,
-            oddities: Oddities::default(),
         }
     }
 
     /// Numbers the samples of a frame, whose stamps these are, and gives its parts without a gap.
     pub fn place(&mut self, stamps: &[f64], arrival: Arrival, mut on_run: impl FnMut(Run)) {
         if arrival.is_new_connection {
-            self.reconnect(stamps, arrival);
+            self.next_sample += self.stamps.reconnect(stamps.first().copied(), arrival);
+            self.begin_clock();
         }
         let mut begin = 0;
         let mut first_sample = self.next_sample;
         for (index, &stamp_s) in stamps.iter().enumerate() {
-            let lost = self.take_stamp(stamp_s, arrival);
+            let Step { lost, begins_clock } = self.stamps.take(stamp_s, arrival);
+            if begins_clock {
+                self.begin_clock();
+            }
             if lost > 0 {
                 if index > begin {
                     on_run(self.run(begin..index, first_sample, arrival));
@@ -142,7 +86,7 @@ impl Timeline {
 
     /// What was odd so far.
     pub fn oddities(&self) -> Oddities {
-        self.oddities
+        self.stamps.oddities()
     }
 
     /// How long before its arrival the newest sample was stamped, s.
@@ -155,110 +99,22 @@ impl Timeline {
         self.clock.drift_ppm()
     }
 
-    /// The stream was lost and is back: by our clock, so many samples are missing.
-    fn reconnect(&mut self, stamps: &[f64], arrival: Arrival) {
-        if let (Some(last), Some(first)) = (self.last, stamps.first()) {
-            let here_s = arrival.received_ns.saturating_sub(last.received_ns) as f64 * 1e-9;
-            let away_s = first + arrival.correction_s - last.credible_here_s();
-            let is_possible = (0.0..=here_s + CLOCK_LEAP_S).contains(&away_s);
-            let samples = (if is_possible { away_s } else { here_s }) * self.sample_rate_hz;
-            self.next_sample += (samples.round() as u64).saturating_sub(1);
-        }
-        self.last = None;
-        self.exact_steps = EXACT_AFTER_S * self.sample_rate_hz;
-        self.begin_clock();
-    }
-
     fn begin_clock(&mut self) {
-        self.contradicting = 0.0;
         self.clock = DeviceClock::default();
         self.loss = LossByTime::new(LATE_NS);
     }
 
-    /// Takes the stamp of the next sample, and says how many samples are missing before it.
-    fn take_stamp(&mut self, stamp_s: f64, arrival: Arrival) -> u64 {
-        let Arrival { correction_s, received_ns, .. } = arrival;
-        let period_s = 1.0 / self.sample_rate_hz;
-        self.oddities.impossible += u64::from(!stamp_s.is_finite());
-        let Some(last) = self.last else {
-            let now_s = received_ns as f64 * 1e-9 - correction_s;
-            let stamp_s = if stamp_s.is_finite() { stamp_s } else { now_s };
-            self.last = Some(Last { stamp_s, credible_s: stamp_s, correction_s, received_ns });
-            return 0;
-        };
-        let mut next = Last {
-            stamp_s: if stamp_s.is_finite() { stamp_s } else { last.stamp_s + period_s },
-            credible_s: last.credible_s + period_s,
-            correction_s,
-            received_ns,
-        };
-        let mut lost = 0;
-        if stamp_s.is_finite() {
-            let longest_s = longest_step_s(&last, received_ns);
-            let step_s = stamp_s - last.stamp_s;
-            let was_exact = self.is_exact();
-            self.count_oddities(step_s, longest_s);
-            let is_whole = self.is_whole(step_s);
-            self.exact_steps = if is_whole { self.exact_steps + 1.0 } else { 0.0 };
-            let away_s = stamp_s - last.credible_s;
-            if (-ROUGH_GAP_S..=longest_s).contains(&away_s) {
-                self.contradicting = 0.0;
-                next.credible_s = stamp_s;
-                if (was_exact && self.is_whole(away_s)) || away_s > ROUGH_GAP_S {
-                    lost = ((away_s * self.sample_rate_hz).round() as u64).saturating_sub(1);
-                }
-            } else {
-                let agrees = step_s.abs() <= ROUGH_GAP_S;
-                self.contradicting = if agrees { self.contradicting + 1.0 } else { 1.0 };
-                if self.contradicting >= SETTLED_S * self.sample_rate_hz {
-                    next.credible_s = stamp_s;
-                    self.begin_clock();
-                }
-            }
-        }
-        self.last = Some(next);
-        lost
-    }
-
-    fn count_oddities(&mut self, step_s: f64, longest_s: f64) {
-        // Chunks that are stamped when they are sent overlap by less than their length.
-        let chunk_s = if self.is_exact() { 0.0 } else { self.exact_steps / self.sample_rate_hz };
-        if step_s == 0.0 {
-            self.oddities.repeated += 1;
-        } else if step_s < -0.5 / self.sample_rate_hz - chunk_s {
-            self.oddities.backwards += 1;
-        } else if step_s > longest_s {
-            self.oddities.leaps += 1;
-        }
-    }
-
-    /// Whether stamps have been exact for so long that they count as counted.
-    fn is_exact(&self) -> bool {
-        self.exact_steps >= EXACT_AFTER_S * self.sample_rate_hz
-    }
-
-    /// Whether a step is a whole number of samples.
-    fn is_whole(&self, step_s: f64) -> bool {
-        let step = step_s * self.sample_rate_hz;
-        (step - step.round()).abs() <= EXACT && step.round() >= 1.0
-    }
-
     /// A part of a frame whose newest sample is the last one that was numbered.
     fn run(&mut self, samples: Range<usize>, first_sample: u64, arrival: Arrival) -> Run {
-        let stamp_s = self.last.map_or(0.0, |last| last.stamp_s + last.correction_s);
-        self.stamp_age_s = arrival.received_ns as f64 * 1e-9 - stamp_s;
-        let is_future = self.stamp_age_s < -FUTURE_S;
-        self.oddities.impossible += u64::from(is_future);
-        // Of a stamp in the future, only the arrival is known. One before our clock began is as old as can be.
-        let stamp_ns = if is_future { arrival.received_ns } else { (stamp_s.max(0.0) * 1e9) as u64 };
-        let stamp_ns = stamp_ns.min(arrival.received_ns);
+        let Newest { age_s, is_future, captured_ns: stamp_ns } = self.stamps.newest(arrival.received_ns);
+        self.stamp_age_s = age_s;
         let counted_s = (first_sample + samples.len() as u64) as f64 / self.sample_rate_hz;
         let counted_ns = (counted_s * 1e9) as u64;
-        let captured_ns = if self.contradicting > 0.0 {
+        let captured_ns = if self.stamps.is_contradicting() {
             self.clock.predicted_ns(counted_ns).map_or(stamp_ns, |predicted_ns| predicted_ns.min(stamp_ns))
         } else {
             let smooth_ns = self.clock.captured_ns(counted_ns, stamp_ns);
-            if self.is_exact() && !is_future {
+            if self.stamps.is_exact() && !is_future {
                 stamp_ns
             } else {
                 let lost_ns = self.loss.observe(arrival.received_ns, stamp_ns - smooth_ns);
@@ -268,13 +124,6 @@ impl Timeline {
         };
         Run { samples, first_sample, captured_ns }
     }
-}
-
-/// The longest step from the last sample that can be a loss, s: beyond it, the sender's clock has leapt.
-fn longest_step_s(last: &Last, received_ns: u64) -> f64 {
-    let here_s = received_ns.saturating_sub(last.received_ns) as f64 * 1e-9;
-    let late_s = last.received_ns as f64 * 1e-9 - last.credible_here_s();
-    here_s + late_s.clamp(0.0, CLOCK_LEAP_S) + FUTURE_S
 }
 
 #[cfg(test)]

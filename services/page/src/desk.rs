@@ -13,8 +13,10 @@ use tendon_transport::SessionName;
 use crate::access::Rights;
 use crate::watching::Audience;
 
-/// Time between two questions.
-const INTERVAL: Duration = Duration::from_millis(50);
+/// Time between two questions while things change, as in a calibration.
+const CHANGING: Duration = Duration::from_millis(50);
+/// The same where nothing has changed.
+const STEADY: Duration = Duration::from_millis(200);
 
 /// The newest that the supervisor has told.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -43,20 +45,22 @@ impl Desk {
     }
 }
 
-/// Asks once, and tells the viewers if something has changed.
-pub fn look(session: &SessionName, audience: &Audience) {
+/// Asks once, and tells the viewers if something has changed. Whether it has.
+pub fn look(session: &SessionName, audience: &Audience) -> bool {
     // One that does not run, or hangs, tells nothing.
     let told = session_status(session).unwrap_or_default();
-    if audience.desk.borrow().told != told.as_bytes() {
+    let has_changed = audience.desk.borrow().told != told.as_bytes();
+    if has_changed {
         audience.desk.send_replace(Desk::new(told));
     }
+    has_changed
 }
 
 /// Asks until `stop`.
 pub fn follow(session: &SessionName, audience: &Audience, stop: &Arc<AtomicBool>) {
     while !stop.load(Ordering::Relaxed) {
-        look(session, audience);
-        std::thread::sleep(INTERVAL);
+        let has_changed = look(session, audience);
+        std::thread::sleep(if has_changed { CHANGING } else { STEADY });
     }
 }
 

@@ -1,17 +1,18 @@
 //! The page of a session: shows it in a browser, and passes on orders and requests. `tendon run --page` and `tendon page` start it.
 //!
 //! ```text
-//! topics ──looked at every 8 ms──▶ watching thread ─▶ View, Traces ─▶ Audience
-//! browser ◀─ WebSocket ── server, one thread ◀──────────────────────────┘
+//! topics ──looked at 30 times a second──▶ watching thread ─▶ View, Traces ─▶ Audience
+//! browser ◀─ WebSocket ── server, one thread ◀─────────────────────────────────┘
 //! browser ── orders, with the token ──▶ server ─▶ the robot's own socket
 //! browser ── requests, with the token ▶ server ─▶ the supervisor's socket, and the recorder's for notes
-//! browser ◀─ desk ── server ◀─ desk thread ◀─ the supervisor's status, asked for 20 times a second
+//! browser ◀─ desk ── server ◀─ desk thread ◀─ the supervisor's status, asked for 5 to 20 times a second
 //! ```
 //! It is an observer: nobody waits for it, and its end is not the session's.
 #![forbid(unsafe_code)]
 
 mod access;
 mod browser;
+mod connections;
 mod desk;
 mod files;
 mod orders;

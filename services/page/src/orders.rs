@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use tendon_process::{Order, order_robot, with_causes};
+use tendon_process::{Answer, Order, OrderError, order_robot, with_causes};
 use tendon_transport::{SessionName, own_user};
 use tokio::sync::Mutex;
 use tokio::sync::mpsc::Sender;
@@ -30,15 +30,14 @@ impl What {
 
 /// What came of an order or a request.
 #[derive(Clone, Debug, Serialize)]
-pub struct Answer {
+pub struct Told {
     /// The number that the page gave it.
     pub id: u64,
     /// Its name.
     pub order: &'static str,
-    /// Whether it was carried out.
-    pub ok: bool,
     /// The word of whoever was asked, or why nobody was.
-    pub text: String,
+    #[serde(flatten)]
+    pub answer: Answer,
 }
 
 /// The way to the robot of one session.
@@ -57,28 +56,28 @@ impl Orders {
 
     /// Gives the robot an order; its answer goes to `answers` when it comes. A stop that comes while the robot is being asked
     /// to arm is given at once, and again afterwards, so that the two cannot overtake each other.
-    pub fn give(&self, id: u64, order: What, answers: Sender<Answer>) {
-        let answer = move |(ok, text)| Answer { id, order: order.name(), ok, text };
+    pub fn give(&self, id: u64, order: What, answers: Sender<Told>) {
+        let told = move |answer| Told { id, order: order.name(), answer };
         let (session, arming) = (self.session.clone(), self.arming.clone());
         match (order, arming.clone().try_lock_owned()) {
             (What::Arm, Ok(held)) => {
                 tokio::spawn(async move {
-                    let told = ask(session, Order::Arm).await;
+                    let answer = ask(session, Order::Arm).await;
                     drop(held);
                     // Whoever asked may be gone.
-                    let _ = answers.send(answer(told)).await;
+                    let _ = answers.send(told(answer)).await;
                 });
             }
             (What::Arm, Err(_)) => {
-                let told = (false, "the robot is already being asked to arm: wait for its answer".to_owned());
-                let _ = answers.try_send(answer(told));
+                let answer = Answer::refused("the robot is already being asked to arm: wait for its answer");
+                let _ = answers.try_send(told(answer.with_key("arming")));
             }
             (What::Stop, held) => {
                 let is_arming = held.is_err();
                 drop(held);
                 tokio::spawn(async move {
-                    let told = ask(session.clone(), Order::Stop).await;
-                    let _ = answers.send(answer(told)).await;
+                    let answer = ask(session.clone(), Order::Stop).await;
+                    let _ = answers.send(told(answer)).await;
                     if is_arming {
                         let _held = arming.lock().await;
                         ask(session, Order::Stop).await;
@@ -90,12 +89,21 @@ impl Orders {
 }
 
 /// Asks the robot in a thread that may wait. Whether it obeyed, and what it said.
-async fn ask(session: SessionName, order: Order) -> (bool, String) {
+async fn ask(session: SessionName, order: Order) -> Answer {
     let asked = tokio::task::spawn_blocking(move || order_robot(&session, Some(own_user()), order));
     match asked.await {
         // As `tendon stop` and `tendon arm` take it.
-        Ok(Ok(said)) => (!said.starts_with("not armed") && !said.starts_with("not confirmed"), said),
-        Ok(Err(error)) => (false, with_causes(&error)),
-        Err(error) => (false, format!("the order was not given: {error}")),
+        Ok(Ok(said)) if said.starts_with("not armed") => Answer::refused(said).with_key("not-armed"),
+        Ok(Ok(said)) if said.starts_with("not confirmed") => Answer::refused(said).with_key("not-confirmed"),
+        Ok(Ok(said)) => Answer::done(said),
+        Ok(Err(error)) => {
+            let refused = Answer::refused(with_causes(&error));
+            match error {
+                OrderError::Find(_) => refused.with_key("session-not-running"),
+                OrderError::NoAnswer(_) => refused.with_key("robot-silent"),
+                OrderError::Socket { .. } => refused,
+            }
+        }
+        Err(error) => Answer::refused(format!("the order was not given: {error}")),
     }
 }

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use serde::Deserialize;
-use tendon_process::{Request, ask_session, leave_note, with_causes};
+use tendon_process::{Answer, NoteError, Request, RequestError, ask_session, leave_note, with_causes};
 use tendon_transport::SessionName;
 use tokio::sync::Semaphore;
 use tokio::sync::mpsc::Sender;
 
-use crate::orders::Answer;
+use crate::orders::Told;
 
 /// Requests that may be under way at a time: each has a thread that waits for its answer.
 const MOST: usize = 4;
@@ -48,35 +48,52 @@ impl Requests {
     }
 
     /// Passes a wish on; the answer goes to `answers` when it comes.
-    pub fn pass(&self, id: u64, wish: Wish, answers: Sender<Answer>) {
+    pub fn pass(&self, id: u64, wish: Wish, answers: Sender<Told>) {
         let order = wish.name();
         let Ok(free) = self.free.clone().try_acquire_owned() else {
-            let text = "too many requests wait for an answer: ask again in a moment".to_owned();
+            let answer = Answer::refused("too many requests wait for an answer: ask again in a moment");
             // A viewer that takes no answers gets none.
-            let _ = answers.try_send(Answer { id, order, ok: false, text });
+            let _ = answers.try_send(Told { id, order, answer: answer.with_key("too-many-requests") });
             return;
         };
         let session = self.session.clone();
         tokio::spawn(async move {
             let asked = tokio::task::spawn_blocking(move || ask(&session, wish)).await;
             drop(free);
-            let (ok, text) = asked.unwrap_or_else(|error| (false, format!("nobody was asked: {error}")));
+            let answer = asked.unwrap_or_else(|error| Answer::refused(format!("nobody was asked: {error}")));
             // Whoever asked may be gone.
-            let _ = answers.send(Answer { id, order, ok, text }).await;
+            let _ = answers.send(Told { id, order, answer }).await;
         });
     }
 }
 
-/// Waits for the answer: whether it is done, and the words for it.
-fn ask(session: &SessionName, wish: Wish) -> (bool, String) {
+/// Waits for the answer.
+fn ask(session: &SessionName, wish: Wish) -> Answer {
     match wish {
         Wish::Note(text) => match leave_note(session, &text) {
-            Ok(said) => (true, said),
-            Err(error) => (false, with_causes(&error)),
+            Ok(said) => Answer::done(said),
+            Err(error) => not_noted(&error),
         },
-        Wish::OfSession(request) => match ask_session(session, &request) {
-            Ok(answer) => (answer.ok, answer.text),
-            Err(error) => (false, with_causes(&error)),
-        },
+        Wish::OfSession(request) => ask_session(session, &request).unwrap_or_else(|error| not_asked(&error)),
+    }
+}
+
+fn not_noted(error: &NoteError) -> Answer {
+    let refused = Answer::refused(with_causes(error));
+    match error {
+        NoteError::NotRecorded(_) => refused.with_key("note-not-recorded"),
+        NoteError::Empty => refused.with_key("note-empty"),
+        NoteError::TooLong { .. } => refused.with_key("note-too-long"),
+        NoteError::NoAnswer(_) => refused.with_key("recorder-silent"),
+        NoteError::Socket { .. } => refused,
+    }
+}
+
+fn not_asked(error: &RequestError) -> Answer {
+    let refused = Answer::refused(with_causes(error));
+    match error {
+        RequestError::NotRunning(_) => refused.with_key("session-not-running"),
+        RequestError::NoAnswer(_) => refused.with_key("session-silent"),
+        RequestError::Nonsense(_) | RequestError::Socket { .. } => refused,
     }
 }

@@ -24,6 +24,7 @@ use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt, StreamExt};
 use serde::Deserialize;
 use serde_json::json;
+use tendon_process::Answer;
 use tendon_transport::now_ns;
 use tokio::net::TcpListener;
 use tokio::sync::broadcast::error::RecvError;
@@ -31,10 +32,11 @@ use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use crate::access::{Access, Claimed, Rights};
+use crate::connections;
 use crate::files::Files;
-use crate::orders::{Answer, Orders, What};
+use crate::orders::{Orders, Told, What};
 use crate::requests::{Requests, Wish};
-use crate::watching::{Audience, Update};
+use crate::watching::Audience;
 
 /// Viewers at a time.
 const SEATS: usize = 8;
@@ -97,7 +99,7 @@ impl Page {
 ///
 /// # Errors
 ///
-/// When the listener cannot be used any more.
+/// When the listener cannot be used.
 pub async fn serve(listener: std::net::TcpListener, page: Arc<Page>) -> std::io::Result<()> {
     let router = Router::new()
         .route("/ws", get(enter))
@@ -105,7 +107,7 @@ pub async fn serve(listener: std::net::TcpListener, page: Arc<Page>) -> std::io:
         .layer(axum::middleware::from_fn_with_state(page.clone(), guard))
         .with_state(page);
     let listener = TcpListener::from_std(listener)?;
-    axum::serve(listener, router.into_make_service_with_connect_info::<SocketAddr>()).await
+    match connections::serve(listener, router).await {}
 }
 
 /// Refuses requests to names that are not this page's, and adds the headers of safety.
@@ -188,25 +190,27 @@ async fn tell(
     let mut updates = page.audience.updates.subscribe();
     let mut pings = tokio::time::interval(PING);
     loop {
-        let message = tokio::select! {
+        let messages: Arc<[Message]> = tokio::select! {
             biased;
-            _ = pings.tick() => Message::Ping(Bytes::new()),
-            Some(reply) = answered.recv() => Message::Text(reply.text().into()),
+            _ = pings.tick() => [Message::Ping(Bytes::new())].into(),
+            Some(reply) = answered.recv() => [Message::Text(reply.text().into())].into(),
             Ok(()) = hello.changed() => {
                 let Some(mut facts) = hello.borrow_and_update().clone() else { continue };
                 facts["rights"] = rights.name().into();
-                Message::Text(json!({ "hello": facts }).to_string().into())
+                // A page begins anew with every hello.
+                desk.mark_changed();
+                [Message::Text(json!({ "hello": facts }).to_string().into())].into()
             }
-            Ok(()) = desk.changed() => Message::Text(desk.borrow_and_update().message(rights)),
+            Ok(()) = desk.changed() => [Message::Text(desk.borrow_and_update().message(rights))].into(),
             update = updates.recv() => match update {
-                Ok(Update::Text(text)) => Message::Text(text),
-                Ok(Update::Frame(frame)) => Message::Binary(frame),
+                Ok(update) => update,
                 // It is slow: it goes on with what is new.
                 Err(RecvError::Lagged(_)) => continue,
                 Err(RecvError::Closed) => return,
             },
         };
-        match tokio::time::timeout(PATIENCE, output.send(message)).await {
+        let mut messages = futures_util::stream::iter(messages.iter().cloned().map(Ok));
+        match tokio::time::timeout(PATIENCE, output.send_all(&mut messages)).await {
             Ok(Ok(())) => {}
             Ok(Err(_)) | Err(_) => return,
         }
@@ -217,14 +221,14 @@ async fn tell(
 #[derive(Debug)]
 enum Reply {
     Pong { t: f64 },
-    Answer(Answer),
+    Told(Told),
 }
 
 impl Reply {
     fn text(self) -> String {
         match self {
             Reply::Pong { t } => json!({"pong": {"t": t, "now_ns": now_ns()}}).to_string(),
-            Reply::Answer(answer) => json!({ "answer": answer }).to_string(),
+            Reply::Told(told) => json!({ "answer": told }).to_string(),
         }
     }
 }
@@ -239,9 +243,10 @@ enum Said {
 }
 
 /// The answer to somebody who gives an order or asks for something and may only watch.
-fn refusal(id: u64, order: &'static str) -> Answer {
-    let text = "this address only watches: open the one for orders on the session's machine".to_owned();
-    Answer { id, order, ok: false, text }
+fn refusal(id: u64, order: &'static str) -> Told {
+    let answer =
+        Answer::refused("this address only watches: open the one for orders on the session's machine");
+    Told { id, order, answer: answer.with_key("only-watches") }
 }
 
 /// Hears a viewer until it says what no page of ours says.
@@ -252,8 +257,8 @@ async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, re
     loop {
         let message = tokio::select! {
             biased;
-            Some(answer) = answered.recv() => {
-                if replies.try_send(Reply::Answer(answer)).is_err() {
+            Some(told) = answered.recv() => {
+                if replies.try_send(Reply::Told(told)).is_err() {
                     return;
                 }
                 continue;

@@ -25,6 +25,9 @@ const PAPER_MEAN_MS: u32 = 324;
 const FIRST_EDGE_NS: u64 = 1000;
 const EDGE_RATIO: f64 = 1.25;
 
+/// The kind of what has an arm.
+const SESSION: &str = "session";
+
 /// What a state says of the arm, besides whether it may move.
 const ARM_KEYS: [&str; 13] = [
     "position_mm",
@@ -115,9 +118,8 @@ impl View {
         let joints = tendon_arm::denavit_hartenberg().map(|joint| {
             json!({"a_mm": joint.a_mm, "d_mm": joint.d_mm, "alpha_rad": joint.alpha_rad, "theta_offset_rad": 0.0})
         });
-        let is_calibration = is_calibration(desk);
         json!({
-            "kind": if is_calibration { "calibration" } else { "session" },
+            "kind": desk["kind"].as_str().unwrap_or(SESSION),
             "session": self.config.session.to_string(),
             "version": env!("CARGO_PKG_VERSION"),
             "started_ns": joined_ns,
@@ -130,7 +132,7 @@ impl View {
             "gestures": decision.gestures.iter().map(|gesture| gesture.name().to_owned()).collect::<Vec<_>>(),
             "modes": decision.modes.iter().map(mode).collect::<Vec<_>>(),
             "workspace_mm": {"min": robot.arm.workspace_min_mm, "max": robot.arm.workspace_max_mm},
-            "arm": (!is_calibration).then(|| json!({"joints": joints})),
+            "arm": has_arm(desk).then(|| json!({"joints": joints})),
             "speed_mm_per_s": decision.speed_mm_per_s,
             "paper": {"median_ms": PAPER_MEDIAN_MS, "mean_ms": PAPER_MEAN_MS},
             "bin_ms": bin_ms,
@@ -138,7 +140,7 @@ impl View {
     }
 
     /// The session now, with what the supervisor tells on its `desk`; `None` before the arm has said anything. A calibration has
-    /// no arm.
+    /// no arm, nor has what could not begin.
     pub fn now(&self, now_ns: u64, traces: &Traces, desk: &Value) -> Option<Value> {
         let command = self.command.unwrap_or_default();
         let counts = |stage| self.measurements.counts(stage);
@@ -163,7 +165,7 @@ impl View {
             "clock_drift_ppm": self.measurements.clock_drift_ppm(),
             "troubles": troubles,
         });
-        let arm = if is_calibration(desk) { no_arm() } else { self.arm()? };
+        let arm = if has_arm(desk) { self.arm()? } else { no_arm() };
         for (key, value) in arm {
             state[key] = value;
         }
@@ -222,12 +224,12 @@ impl View {
     }
 }
 
-/// Whether a desk is that of a calibration.
-fn is_calibration(desk: &Value) -> bool {
-    desk["kind"] == "calibration"
+/// Whether a desk is that of a session, and of no calibration nor of what could not begin.
+fn has_arm(desk: &Value) -> bool {
+    desk["kind"].as_str().is_none_or(|kind| kind == SESSION)
 }
 
-/// What stands in a state for the arm of a calibration.
+/// What stands in a state where there is no arm.
 fn no_arm() -> Vec<(&'static str, Value)> {
     ARM_KEYS.into_iter().map(|key| (key, Value::Null)).chain([("permission", json!("none"))]).collect()
 }

@@ -5,8 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
-use axum::body::Bytes;
-use axum::extract::ws::Utf8Bytes;
+use axum::extract::ws::Message;
 use serde_json::{Value, json};
 use tendon_config::Config;
 use tendon_messages::{
@@ -20,25 +19,19 @@ use crate::desk::{self, Desk};
 use crate::traces::Traces;
 use crate::view::View;
 
-/// Time between two looks at the topics: four to a frame. The states of a moving arm come every 4 ms, and eight are kept.
-const LOOK: Duration = Duration::from_micros(8_333);
-/// Time between two frames.
+/// Time between two looks at the topics, each of which makes a frame. Of states, commands and predictions only the newest is
+/// shown; blocks and measurements are kept for longer than this.
 const FRAME: Duration = Duration::from_micros(33_333);
 /// Time between two summaries of latencies, and two looks whether the session runs.
 const SUMMARY: Duration = Duration::from_secs(1);
 /// Time between two looks for a session that is to come.
 const SESSION_LOOK: Duration = Duration::from_millis(200);
 /// Updates that are kept for a slow viewer, a third of a second; what is older it never sees.
-const UPDATES: usize = 20;
+const UPDATES: usize = 10;
 
-/// What all viewers are told.
-#[derive(Clone, Debug)]
-pub enum Update {
-    /// A state, or latencies.
-    Text(Utf8Bytes),
-    /// Bins of the signal.
-    Frame(Bytes),
-}
+/// What all viewers are told of one look: bins of the signal, a state, latencies. Together, so that each viewer is written to once,
+/// and its browser woken once.
+pub type Update = Arc<[Message]>;
 
 /// Where the viewers listen.
 #[derive(Debug)]
@@ -59,11 +52,6 @@ impl Audience {
             updates: broadcast::Sender::new(UPDATES),
             desk: watch::Sender::new(Desk::default()),
         }
-    }
-
-    fn tell(&self, name: &str, what: Value) {
-        // Nobody need listen.
-        let _ = self.updates.send(Update::Text(json!({ name: what }).to_string().into()));
     }
 }
 
@@ -119,34 +107,35 @@ fn watch_session(config: &Config, audience: &Audience, stop: &AtomicBool) -> any
     desk::look(&config.session, audience);
     let hello = view.hello(now_ns(), traces.bin_ms(), &audience.desk.borrow().facts);
     audience.hello.send_replace(Some(hello));
-    let begun = Instant::now();
-    let (mut next_frame, mut next_summary) = (begun, begun);
+    let (mut next_frame, mut next_summary) = (Instant::now(), Instant::now());
     while !stop.load(Ordering::Relaxed) {
         topics.take(&mut view, &mut traces)?;
-        let now = Instant::now();
-        if now >= next_frame {
-            // Frames that were missed are not made up for.
-            next_frame = (next_frame + FRAME).max(now - FRAME);
-            let frame = traces.frame();
-            if audience.updates.receiver_count() > 0 {
-                if let Some(frame) = frame {
-                    let _ = audience.updates.send(Update::Frame(frame.into()));
-                }
-                if let Some(state) = view.now(now_ns(), &traces, &audience.desk.borrow().facts) {
-                    audience.tell("state", state);
-                }
-            }
-        }
-        if now >= next_summary {
-            next_summary = now + SUMMARY;
-            audience.tell("latency", view.latency());
+        let is_summary = Instant::now() >= next_summary;
+        if is_summary {
+            next_summary = Instant::now() + SUMMARY;
             if supervisor() != Some(process_id) {
                 return Ok(());
             }
         }
-        std::thread::sleep(LOOK);
+        let frame = traces.frame();
+        if audience.updates.receiver_count() > 0 {
+            let state = view.now(now_ns(), &traces, &audience.desk.borrow().facts);
+            let latency = is_summary.then(|| view.latency());
+            let frame = frame.map(|frame| Message::Binary(frame.into()));
+            let texts =
+                [state.map(|state| text("state", state)), latency.map(|latency| text("latency", latency))];
+            // The viewer may have gone meanwhile.
+            let _ = audience.updates.send(frame.into_iter().chain(texts.into_iter().flatten()).collect());
+        }
+        // Frames that were missed are not made up for.
+        next_frame = (next_frame + FRAME).max(Instant::now());
+        std::thread::sleep(next_frame.saturating_duration_since(Instant::now()));
     }
     Ok(())
+}
+
+fn text(name: &str, what: Value) -> Message {
+    Message::Text(json!({ name: what }).to_string().into())
 }
 
 /// The topics of a session, without wake-ups.

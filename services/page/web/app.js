@@ -51,18 +51,19 @@ const task = new Task();
 
 const connection = new Connection({
   hello(newHello) {
-    if (hello !== null && hello.started_ns !== newHello.started_ns) requests.begunAnew();
+    if (hello !== null && hello.started_ns !== newHello.started_ns) requests.begunAnew(newHello.kind !== "failed");
     hello = newHello;
     state = desk = null;
     document.title = `${hello.session} · Tendon`;
     for (const part of [traces, orders, session, actions, next, calibration]) part.setUp(hello);
-    if (!calibration.isOn) for (const part of [recognition, arm, latency, task]) part.setUp(hello);
+    document.body.classList.toggle("is-failed", hello.kind === "failed");
+    if (hello.kind === "session") for (const part of [recognition, arm, latency, task]) part.setUp(hello);
     redraw();
   },
   state(newState) {
     state = newState;
     isStateNew = true;
-    if (!calibration.isOn) orders.showState(state);
+    if (hello?.kind === "session") orders.showState(state);
     requests.look(desk, state);
     redraw();
   },
@@ -116,6 +117,7 @@ function draw() {
     isStateNew = false;
     for (const part of [traces, session]) part.showState(state);
     if (calibration.isOn) showStanding(calibrationStanding(calibration.calibration));
+    else if (hello.kind === "failed") showFailed();
     else {
       showStanding(standing(hello, state));
       for (const part of [recognition, arm, latency, task, actions]) part.showState(state);
@@ -125,6 +127,11 @@ function draw() {
   arm.draw();
   // The next task runs when this frame has been handed to the screen.
   afterPaint.port2.postMessage(null);
+}
+
+/** What was asked for could not begin. */
+function showFailed() {
+  showStanding({ tone: "stop", title: text("not-begun"), detail: desk?.failed ?? "" });
 }
 
 function showAway(why) {

@@ -6,7 +6,7 @@
 
 import { button, element, beginCalibration, beginSession } from "./next.js";
 import { drawingOf, gestureName } from "./recognition.js";
-import { number, show, text } from "./texts.js";
+import { number, said, show, text } from "./texts.js";
 
 /** From this expected accuracy on a calibration is called so; texts.json says what that means. */
 const GRADES = [
@@ -40,11 +40,18 @@ export function calibrationStanding(calibration) {
     const detail = accuracy === null ? "" : text(`grade.${gradeOf(accuracy)}`);
     return { tone: "go", title: text("calibrated", places), detail };
   }
-  if (trouble) return { tone: "stop", title: text("calibration-trouble"), detail: trouble };
+  if (trouble) return { tone: "stop", title: text("calibration-trouble"), detail: findingWords(trouble) };
   if (ask === "hold") return standing("go", gesture === "rest" ? "hold-rest" : "hold", places);
   if (ask === "relax") return standing("move", places.seconds == null ? "cue-relax" : "cue-countdown", places);
   if (ask === "wait") return standing("wait", phase === "check" ? "check-ready" : "calibration-ready", places);
   return standing("wait", "calibration-opening", places);
+}
+
+/** What is wrong, and what to do about it. */
+function findingWords({ text: words, kind, repetition, ...values }) {
+  const isOfRest = kind === "alike" && values.first === "rest";
+  // Repetitions are counted from 0.
+  return said(`finding.${isOfRest ? "like_rest" : kind}`, { ...values, repetition: (repetition ?? 0) + 1 }, words);
 }
 
 function standing(tone, key, places) {
@@ -221,7 +228,7 @@ export class Calibration {
       className: "findings",
       children: [
         element("h3", { words: text("findings") }),
-        element("ul", { children: report.findings.map((words) => element("li", { words })) }),
+        element("ul", { children: report.findings.map((finding) => element("li", { words: findingWords(finding) })) }),
       ],
     });
   }
@@ -267,7 +274,7 @@ export class Calibration {
     const rows = (report.channels ?? []).map(({ name, snr_db: snr, remark }) => [
       heading(name),
       text("decibel", { value: number(snr, 0) }),
-      element("td", { words: remark ?? "", className: "is-wrong" }),
+      element("td", { words: remark == null ? "" : text(`remark.${remark}`), className: "is-wrong" }),
     ]);
     return table(text("report-channels"), [text("channel"), text("snr"), text("remark")], rows);
   }

@@ -1,7 +1,7 @@
 // STOP and Arm. A button says "asked" when it was pressed and "stopped" only when the arm's state says so.
 
 import { Outcome } from "./outcome.js";
-import { show, text } from "./texts.js";
+import { said, show, text } from "./texts.js";
 
 /** An order that the arm's state does not confirm within this time is said to be unconfirmed. */
 const CONFIRMED_WITHIN_MS = 700;
@@ -102,11 +102,11 @@ export class Orders {
   }
 
   /** The server's answer: only a refusal is news, since the state confirms what was done. */
-  takeAnswer({ id, order, ok, text: words }) {
+  takeAnswer({ id, order, ok, key, values, text: words }) {
     const asked = this.asked.get(order);
     if (ok || asked?.id !== id) return;
     this.asked.delete(order);
-    this.tell("order-refused", "bad", { words });
+    this.tell("order-refused", "bad", { words: said(`said.${key}`, values, words) });
     this.refresh();
   }
 

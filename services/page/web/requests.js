@@ -6,7 +6,7 @@
 //                                                   └──▶ asked / done / not done, with the server's reason
 
 import { Outcome } from "./outcome.js";
-import { text } from "./texts.js";
+import { said, text } from "./texts.js";
 
 const CONFIRMED_WITHIN_MS = 5000;
 
@@ -48,10 +48,10 @@ export class Requests {
     this.changed();
   }
 
-  takeAnswer({ id, ok, text: reason }) {
+  takeAnswer({ id, ok, key, values, text: words }) {
     for (const [kind, asked] of this.asked) {
       if (asked.id !== id) continue;
-      if (!ok) this.fail(kind, "request-refused", reason);
+      if (!ok) this.fail(kind, "request-refused", said(`said.${key}`, values, words));
       else if (asked.outlives) asked.isAccepted = true;
       else if (asked.isDone === null) this.succeed(kind);
     }
@@ -68,9 +68,13 @@ export class Requests {
     return [...this.asked.values()].some((asked) => asked.isAccepted);
   }
 
-  /** Another session or calibration has begun. */
-  begunAnew() {
-    for (const [kind, asked] of this.asked) if (asked.outlives) this.succeed(kind);
+  /** Another session or calibration has begun, or could not: the page says why. */
+  begunAnew(hasBegun) {
+    for (const [kind, asked] of this.asked) {
+      if (!asked.outlives) continue;
+      if (hasBegun) this.succeed(kind);
+      else this.fail(kind, "request-not-begun");
+    }
   }
 
   /** The connection is gone: what was asked for is not confirmed by the next one. */

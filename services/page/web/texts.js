@@ -1,5 +1,8 @@
 // Every visible text stands in texts.json, by language and key; {word} in a text is a place to fill.
 
+/** Places of texts that the name of a gesture fills. */
+const GESTURE_PLACES = ["gesture", "first", "second"];
+
 let all = {};
 let current = {};
 export let language = "en";
@@ -41,6 +44,19 @@ export function chooseLanguage(tag) {
 export function text(key, places = {}) {
   const template = current[key] ?? all.en?.[key] ?? key.slice(key.indexOf(".") + 1);
   return template.replace(/\{(\w+)\}/g, (whole, place) => places[place] ?? whole);
+}
+
+/**
+ * What the server says: the text of `key`, its places filled with `values`, in which gestures and numbers are written as
+ * everywhere; the server's own English, `words`, where there is no such text.
+ */
+export function said(key, values, words) {
+  if (!hasText(key)) return words ?? "";
+  const places = Object.entries(values ?? {}).map(([place, value]) => {
+    if (GESTURE_PLACES.includes(place)) return [place, text(`gesture.${value}`)];
+    return [place, typeof value === "number" ? number(value) : value];
+  });
+  return text(key, Object.fromEntries(places));
 }
 
 export function hasText(key) {

@@ -38,12 +38,13 @@ use tendon_recordings::{RecordedSession, SkippedKind};
 
 use crate::Failure;
 use crate::channels::channels_or_default;
+use crate::configuration::{Base, WINDOW_KEYS};
 use crate::next::Following;
-use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
 use crate::output::{checked_private, left_out, print};
 use crate::page::RunOptions;
 use crate::personal::{WINDOWS, calibration_settings, personal_windows, recorded_settings, shipped_prior};
 use crate::provenance::PROGRAM;
+use crate::recording_options::RecordingOptions;
 
 use check::CheckScores;
 pub use next::command_line;

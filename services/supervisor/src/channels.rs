@@ -1,4 +1,4 @@
-//! Which channels of recordings are taken where nobody says which.
+//! Which channels of recordings and amplifiers are taken where nobody says which.
 //!
 //! ```text
 //! recorded by Tendon         all of them
@@ -10,6 +10,7 @@
 use std::path::PathBuf;
 
 use anyhow::{bail, ensure};
+use tendon_config::AcquisitionSettings;
 use tendon_dataset::{DatasetSettings, Layout, Recording, list};
 use tendon_recordings::{Channel, RecordedSession, muscles};
 
@@ -54,6 +55,19 @@ pub fn channels_or_default(
         listed(&recording.file_channels(settings)?)
     );
     Ok(channels)
+}
+
+/// Asks an amplifier for these channels, by name, and this unit, unless the user asks for others.
+pub fn ask_for(acquisition: &mut AcquisitionSettings, channels: &[String], unit: &str) {
+    if !acquisition.source.is_amplifier() {
+        return;
+    }
+    if acquisition.channel_selection.is_none() {
+        acquisition.channel_selection = Some(channels.iter().cloned().map(Channel::Name).collect());
+    }
+    if acquisition.unit.is_none() && !unit.is_empty() {
+        acquisition.unit = Some(unit.to_owned());
+    }
 }
 
 /// The channels of 3DC that are taken where nobody says which.

@@ -15,10 +15,11 @@ use tendon_signal::{OnsetMethod, OnsetSettings, WindowInput, WindowSettings};
 
 use crate::Failure;
 use crate::channels::channels_or_default;
-use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
+use crate::configuration::{Base, WINDOW_KEYS};
 use crate::output::{counted, print, summed_up, tell};
 use crate::progress::Progress;
 use crate::provenance::PROGRAM;
+use crate::recording_options::RecordingOptions;
 
 /// Commands of `tendon dataset`.
 #[derive(Debug, Subcommand)]

@@ -19,6 +19,7 @@ use tendon_process::{
 };
 use tendon_session::{Event, Watch};
 use tendon_session_file::is_session_file;
+use tendon_transport::SessionName;
 use tendon_zones::{TaskRun, TaskStatus};
 
 use crate::calibrate::CalibrationStatus;
@@ -49,6 +50,8 @@ pub struct Desk {
     pub task: Option<TaskStatus>,
     /// How the calibration stands, if it is one.
     pub calibration: Option<CalibrationStatus>,
+    /// Why what was asked for could not begin.
+    pub failed: Option<String>,
 }
 
 /// What can be asked for.
@@ -72,6 +75,8 @@ pub enum DeskKind {
     Session,
     /// A guided calibration.
     Calibration,
+    /// A session that could not begin.
+    Failed,
 }
 
 impl Desk {
@@ -88,6 +93,7 @@ impl Desk {
             people: Vec::new(),
             task: None,
             calibration: None,
+            failed: None,
         };
         desk.look_for_people();
         desk
@@ -130,6 +136,7 @@ pub struct SessionDesk {
     socket: RequestSocket,
     /// The recording and the task as they are shown; `None` before the session runs.
     shown: Option<(Option<PathBuf>, Option<TaskStatus>)>,
+    session: SessionName,
     /// The session's command line.
     run: Vec<String>,
     strategy: Strategy,
@@ -197,6 +204,7 @@ impl SessionDesk {
             repeats_modes,
             socket,
             shown: None,
+            session: config.session.clone(),
             run: own.unwrap_or_default(),
             strategy: config.decision.strategy,
             why_not_next,
@@ -250,7 +258,7 @@ impl SessionDesk {
         let check = move || match next::command_line_after(&run, strategy, &next) {
             // Nobody listens any more once the session is over; the request says so itself.
             Ok(command_line) => drop(checking.send(Checked { asked, command_line })),
-            Err(error) => asked.answer(&Answer::refused(format!("{error:#}"))),
+            Err(error) => asked.answer(&next::refusal(&error)),
         };
         // Without the thread the request is dropped, and refused by that.
         let _ = std::thread::Builder::new().name("check next".to_owned()).spawn(check);
@@ -263,7 +271,7 @@ impl SessionDesk {
 
     /// What this session hands on, where there is a page.
     pub fn handover(&self, page: Option<&PageKeys>) -> Option<Handover> {
-        page.map(|page| Handover { page: page.clone(), run: self.run.clone() })
+        page.map(|page| Handover { page: page.clone(), run: self.run.clone(), session: self.session.clone() })
     }
 
     /// Lets decision take the mode of this name.

@@ -9,7 +9,7 @@ use tendon_transport::{
     Leftovers, Removed, SessionLock, SessionLockError, SessionName, shared_memory_directory,
 };
 
-use crate::options::Base;
+use crate::configuration::Base;
 use crate::output::{counted, print};
 use crate::{Failure, checks};
 

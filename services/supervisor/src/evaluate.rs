@@ -20,11 +20,13 @@ use tendon_signal::canonical_unit;
 
 use crate::Failure;
 use crate::channels::{channels_or_default, listed};
+use crate::configuration::Base;
 use crate::model_channels;
-use crate::options::{Base, RecordingOptions, seconds};
 use crate::output::{checked, left_out, print, tell};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
+use crate::recording_options::RecordingOptions;
+use crate::times::seconds;
 
 /// Command line of `tendon evaluate`.
 #[derive(Debug, Args)]

@@ -10,8 +10,9 @@ use tendon_report::running_table;
 use tendon_session::become_owner;
 
 use crate::Failure;
-use crate::options::{RunningSession, duration};
 use crate::output::{print, print_while_read};
+use crate::running_session::RunningSession;
+use crate::times::duration;
 
 /// Time between two looks at what the stages say.
 const TICK: Duration = Duration::from_millis(50);

@@ -11,6 +11,7 @@
 mod calibrate;
 mod channels;
 mod checks;
+mod configuration;
 mod dataset;
 mod delete;
 mod desk;
@@ -18,6 +19,7 @@ mod doctor;
 mod evaluate;
 mod experiments;
 mod export;
+mod failed;
 mod latency;
 mod model_channels;
 mod next;
@@ -33,11 +35,14 @@ mod profile;
 mod progress;
 mod provenance;
 mod recorded;
+mod recording_options;
 mod run;
+mod running_session;
 mod screen;
 mod session_outputs;
 mod sources;
 mod strategies;
+mod times;
 mod zones;
 
 use std::process::ExitCode;
@@ -70,9 +75,9 @@ enum Command {
     /// Show the live latencies of a running session.
     Latency(latency::Options),
     /// Stop the arm of a running session at once; it does not move again before `tendon arm`.
-    Stop(options::RunningSession),
+    Stop(running_session::RunningSession),
     /// Permit the arm of a running session to move again, once the muscles have been at rest.
-    Arm(options::RunningSession),
+    Arm(running_session::RunningSession),
     /// List where samples can come from: streams on the network, and what is configured.
     Sources(sources::Options),
     /// Show a running session in a browser; waits for it, and for the next of that name.

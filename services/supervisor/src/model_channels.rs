@@ -15,8 +15,8 @@ use tendon_gesture::Strategy;
 use tendon_recordings::{Channel, RecordingSource};
 use tendon_session_file::is_session_file;
 
-use crate::options::named_channel;
-use crate::personal::ask_for;
+use crate::channels::ask_for;
+use crate::recording_options::named_channel;
 
 /// The channels that the first of these models that names some was trained on; none if none does.
 pub fn remembered<'a>(models: impl IntoIterator<Item = &'a Path>) -> Vec<Channel> {

@@ -13,8 +13,9 @@ use clap::Parser;
 use serde::{Deserialize, Serialize};
 use tendon_config::{Config, Source};
 use tendon_gesture::Strategy;
-use tendon_people::PersonName;
-use tendon_process::{Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys};
+use tendon_people::{PeopleError, PersonName};
+use tendon_process::{Answer, Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys};
+use tendon_transport::SessionName;
 
 use crate::options::Options;
 use crate::{Arguments, Failure, calibrate, provenance, zones};
@@ -33,6 +34,8 @@ pub struct Handover {
     pub page: PageKeys,
     /// The command line of the session, to which a calibration leads back.
     pub run: Vec<String>,
+    /// The session's name.
+    pub session: SessionName,
 }
 
 impl Handover {
@@ -106,6 +109,24 @@ pub fn why_not(options: &Options, config: &Config) -> Option<&'static str> {
         return Some("this session replays a recording: end it, and start the next by hand");
     }
     None
+}
+
+/// The answer to somebody who asked for what cannot follow.
+pub fn refusal(error: &anyhow::Error) -> Answer {
+    let refused = Answer::refused(format!("{error:#}"));
+    let (key, name) = match error.downcast_ref() {
+        Some(PeopleError::Unknown { name, .. }) => ("person-unknown", name),
+        Some(PeopleError::Exists { name, .. }) => ("person-exists", name),
+        Some(PeopleError::Busy { name }) => ("person-busy", name),
+        _ => return refused,
+    };
+    refused.with_key(key).with_value("name", name)
+}
+
+/// The strategy of the session of `run`; `None` where it could not begin any more, such as that of a person who is gone.
+pub fn strategy_of(run: &[String]) -> Option<Strategy> {
+    let Ok(crate::Command::Run(options)) = read(run) else { return None };
+    options.configuration().ok().map(|(config, _)| config.decision.strategy)
 }
 
 /// The command line of what is to follow on the session of `run`, whose strategy is `strategy`.
@@ -273,5 +294,8 @@ mod tests {
         }
         assert!(refused(run, &next("nobody-of-that-name", None)).contains("nobody-of-that-name"));
         assert!(refused(run, &next("anna", Some("direct"))).contains("personal"));
+        let unknown = session_after(&words(run), Strategy::Direct, &next("nobody", None)).unwrap_err();
+        let said = refusal(&unknown);
+        assert_eq!((said.key.as_deref(), said.values["name"].as_str()), (Some("person-unknown"), "nobody"));
     }
 }

@@ -3,8 +3,8 @@
 use tendon_process::{Order, OrderError, order_robot};
 
 use crate::Failure;
-use crate::options::RunningSession;
 use crate::output::print;
+use crate::running_session::RunningSession;
 
 /// Gives the robot the order and says what it answered.
 pub fn give(session: &RunningSession, order: Order) -> Result<(), Failure> {

@@ -4,17 +4,19 @@ use std::io::IsTerminal;
 use std::net::{IpAddr, Ipv4Addr};
 use std::os::unix::process::CommandExt;
 use std::process::Command;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
 use tendon_config::Config;
-use tendon_process::{PAGE_VARIABLE, PageKeys};
-use tendon_session::{ChildrenError, Companion, Writer, become_owner};
+use tendon_process::{Answer, Next, PAGE_VARIABLE, PageKeys, Request};
+use tendon_session::{ChildrenError, Companion, Event, Writer, become_owner};
 
 use crate::Failure;
-use crate::options::RunningSession;
+use crate::next::refusal;
+use crate::running_session::RunningSession;
 
 /// The program that serves the page. It lies beside this one.
 pub const PROGRAM: &str = "tendon-page";
@@ -22,41 +24,65 @@ pub const PROGRAM: &str = "tendon-page";
 const THERE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time between two looks whether it does.
 const THERE_LOOK: Duration = Duration::from_millis(10);
+/// What is said while it stays though nothing runs beside it.
+const HELD: &str = "the page goes on from here; Ctrl-C ends it";
+/// Time between two looks at it meanwhile.
+const HOLD_LOOK: Duration = Duration::from_millis(200);
 /// Where it listens unless told otherwise.
 const PORT: u16 = 8423;
 
-/// The options of `tendon run` that concern the page.
+/// Where a page is, and what it allows.
+#[derive(Clone, Debug, Args)]
+struct PlaceOptions {
+    /// Port of the page; 0 for any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = PORT)]
+    page_port: u16,
+    /// Address of this machine at which others may watch; they give no orders.
+    #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
+    page_address: IpAddr,
+    /// Let nobody give orders on the page.
+    #[arg(long)]
+    page_watch_only: bool,
+    /// Do not open the page in the browser.
+    #[arg(long)]
+    no_browser: bool,
+}
+
+impl PlaceOptions {
+    /// Those of the page's program, in place of the page `before` if there was one.
+    fn arguments(&self, before: Option<&PageKeys>) -> Vec<String> {
+        let port = before.map_or(self.page_port, |before| before.address.port());
+        let mut arguments = vec![format!("--port={port}"), format!("--address={}", self.page_address)];
+        arguments.extend(self.page_watch_only.then(|| "--watch-only".to_owned()));
+        let opens_browser = before.is_none() && !self.no_browser && has_screen();
+        arguments.extend(opens_browser.then(|| "--browser".to_owned()));
+        arguments
+    }
+}
+
+/// The options of `tendon run` and `tendon calibrate` that concern the page.
 #[derive(Debug, Args)]
+#[command(mut_group("PlaceOptions", |group| group.requires("page")))]
 pub struct RunOptions {
     /// Show the session in a browser: prints an address with a token, which is the key to it.
     #[arg(long)]
     pub page: bool,
-    /// Port of the page; 0 for any that is free.
-    #[arg(long, value_name = "PORT", default_value_t = PORT, requires = "page")]
-    page_port: u16,
-    /// Address of this machine at which others may watch; they give no orders.
-    #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), requires = "page")]
-    page_address: IpAddr,
-    /// Let nobody give orders on the page.
-    #[arg(long, requires = "page")]
-    page_watch_only: bool,
-    /// Do not open the page in the browser.
-    #[arg(long, requires = "page")]
-    no_browser: bool,
+    #[command(flatten)]
+    place: PlaceOptions,
 }
 
 impl RunOptions {
     /// Whether somebody at the page can give orders.
     pub fn takes_orders(&self) -> bool {
-        self.page && !self.page_watch_only
+        self.page && !self.place.page_watch_only
     }
 
     /// The options again, a word each.
     pub fn words(&self) -> Vec<String> {
-        let RunOptions { page, page_port, page_address, page_watch_only, no_browser } = *self;
-        if !page {
+        if !self.page {
             return Vec::new();
         }
+        let PlaceOptions { page_port, page_address, page_watch_only, no_browser } = self.place;
         let mut words = vec![
             "--page".to_owned(),
             format!("--page-port={page_port}"),
@@ -88,9 +114,7 @@ impl Page {
         before: Option<&PageKeys>,
         standard_error: &Writer,
     ) -> Result<Page, ChildrenError> {
-        let port = before.map_or(options.page_port, |before| before.address.port());
-        let opens_browser = before.is_none() && !options.no_browser && has_screen();
-        let arguments = arguments(port, options.page_address, options.page_watch_only, opens_browser);
+        let arguments = options.place.arguments(before);
         // It is made of texts.
         let before = before.and_then(|before| serde_json::to_string(before).ok());
         let (keys, errors) = (Arc::new(OnceLock::new()), standard_error.clone());
@@ -123,6 +147,33 @@ impl Page {
         self.keys.get().is_some()
     }
 
+    /// Keeps it up while nothing runs beside it, until somebody asks for what is to follow and `after` finds its command line, or
+    /// somebody ends it.
+    pub fn hold(
+        &mut self,
+        events: &Receiver<Event>,
+        errors: &Writer,
+        after: impl Fn(&Next) -> anyhow::Result<Vec<String>>,
+    ) -> Option<Vec<String>> {
+        errors.say(HELD);
+        loop {
+            match events.recv_timeout(HOLD_LOOK) {
+                Ok(Event::Request(asked)) => {
+                    let Request::Next(next) = &asked.request else { continue };
+                    match after(next) {
+                        Ok(command_line) => {
+                            asked.answer(&Answer::done("what was asked for begins"));
+                            return Some(command_line);
+                        }
+                        Err(error) => asked.answer(&refusal(&error)),
+                    }
+                }
+                Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return None,
+                Ok(_) | Err(RecvTimeoutError::Timeout) => self.look(),
+            }
+        }
+    }
+
     /// Where it is, once it listens.
     pub fn keys(&self) -> Option<&PageKeys> {
         self.keys.get()
@@ -140,18 +191,8 @@ fn has_screen() -> bool {
 pub struct Options {
     #[command(flatten)]
     session: RunningSession,
-    /// Port of the page; 0 for any that is free.
-    #[arg(long, value_name = "PORT", default_value_t = PORT)]
-    page_port: u16,
-    /// Address of this machine at which others may watch; they give no orders.
-    #[arg(long, value_name = "ADDRESS", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
-    page_address: IpAddr,
-    /// Let nobody give orders on the page.
-    #[arg(long)]
-    page_watch_only: bool,
-    /// Do not open the page in the browser.
-    #[arg(long)]
-    no_browser: bool,
+    #[command(flatten)]
+    place: PlaceOptions,
 }
 
 /// Goes on as the program that serves the page.
@@ -162,18 +203,31 @@ pub fn serve(options: &Options) -> Result<(), Failure> {
     }
     let own =
         std::env::current_exe().context("cannot find this program's folder").map_err(Failure::running)?;
-    let opens_browser = !options.no_browser && has_screen();
     let error = Command::new(own.with_file_name(PROGRAM))
         .env_remove(PAGE_VARIABLE)
         .args(["--session", session.name.to_string().as_str()])
-        .args(arguments(options.page_port, options.page_address, options.page_watch_only, opens_browser))
+        .args(options.place.arguments(None))
         .exec();
     Err(Failure::running(anyhow::Error::new(error).context(format!("cannot start {PROGRAM}"))))
 }
 
-fn arguments(port: u16, address: IpAddr, is_watch_only: bool, opens_browser: bool) -> Vec<String> {
-    let mut arguments = vec![format!("--port={port}"), format!("--address={address}")];
-    arguments.extend(is_watch_only.then(|| "--watch-only".to_owned()));
-    arguments.extend(opens_browser.then(|| "--browser".to_owned()));
-    arguments
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use crate::Arguments;
+
+    #[test]
+    fn what_concerns_the_page_of_a_session_needs_one() {
+        for (line, is_fine) in [
+            ("tendon run", true),
+            ("tendon run --page --page-port 0 --no-browser", true),
+            ("tendon run --page-port 0", false),
+            ("tendon run --no-browser", false),
+            ("tendon calibrate anna --page-watch-only", false),
+            ("tendon page --page-port 0 --no-browser", true),
+        ] {
+            assert_eq!(Arguments::try_parse_from(line.split(' ')).is_ok(), is_fine, "{line}");
+        }
+    }
 }

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use tendon_config::{AcquisitionSettings, Config, Source};
+use tendon_config::{Config, Source};
 use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
 use tendon_gesture::{Gesture, GestureSet, Strategy};
@@ -13,8 +13,10 @@ use tendon_process::SignalDescription;
 use tendon_recordings::{Channel, RecordedSession};
 use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings, are_same_channels, canonical_unit};
 
+use crate::channels::ask_for;
+use crate::configuration::Base;
 use crate::model_channels;
-use crate::options::{Base, RecordingOptions};
+use crate::recording_options::RecordingOptions;
 
 /// Keys of the windows.
 pub const WINDOWS: &str = "dsp.windows";
@@ -271,19 +273,6 @@ pub fn check_person(file: &Path, person: &Person, config: &Config) -> anyhow::Re
 /// Whether the source is the simulated person that comes with Tendon.
 pub fn is_simulated(config: &Config) -> bool {
     config.acquisition.source == Source::Simulate && config.acquisition.program.is_none()
-}
-
-/// Asks an amplifier for these channels, by name, and this unit, unless the user asks for others.
-pub fn ask_for(acquisition: &mut AcquisitionSettings, channels: &[String], unit: &str) {
-    if !acquisition.source.is_amplifier() {
-        return;
-    }
-    if acquisition.channel_selection.is_none() {
-        acquisition.channel_selection = Some(channels.iter().cloned().map(Channel::Name).collect());
-    }
-    if acquisition.unit.is_none() && !unit.is_empty() {
-        acquisition.unit = Some(unit.to_owned());
-    }
 }
 
 /// Refuses a source that is ready with other channels, or another unit, than the person of this configuration was calibrated

@@ -12,10 +12,11 @@ use tendon_recordings::SkippedKind;
 
 use crate::Failure;
 use crate::channels::channels_or_default;
-use crate::options::{Base, RecordingOptions, WINDOW_KEYS};
+use crate::configuration::{Base, WINDOW_KEYS};
 use crate::output::{checked_private, print};
 use crate::personal::{WINDOWS, dataset_settings, personal_windows};
 use crate::progress::Works;
+use crate::recording_options::RecordingOptions;
 
 /// Command line of `tendon prior`.
 #[derive(Debug, Args)]

@@ -14,8 +14,8 @@ use tendon_recordings::{Frame, RecordingSettings, RecordingSource, three_dc};
 
 use crate::Failure;
 use crate::channels::{channels_or_default, of_three_dc};
-use crate::options::RecordingOptions;
 use crate::output::{checked, counted, print, tell};
+use crate::recording_options::RecordingOptions;
 
 /// Commands of `tendon profile`.
 #[derive(Debug, Subcommand)]

@@ -37,7 +37,7 @@ use crate::page::Page;
 use crate::personal::check_signal;
 use crate::screen::{KEYS, live_line};
 use crate::session_outputs::SessionOutputs;
-use crate::{Failure, TERMINAL_TIMEOUT, checks, provenance, recorded, zones};
+use crate::{Failure, TERMINAL_TIMEOUT, checks, failed, provenance, recorded, zones};
 
 /// Longest time between two looks at what the stages say. Their messages do not wait for it, but the heartbeat does.
 const TICK: Duration = Duration::from_millis(50);
@@ -73,9 +73,18 @@ impl Companions {
     }
 }
 
-/// Runs a session, and gives what is to follow on it. However it ends, the files that were asked for are written; not with a
-/// configuration that makes no sense, because it may name one of them as an input.
+/// Runs a session, and gives what is to follow on it. Of one that could not begin, the page that it was asked for at says why.
 pub fn run(options: &Options) -> Result<Option<Following>, Failure> {
+    let mut has_begun = false;
+    match run_and_report(options, &mut has_begun) {
+        Err(failure) if !has_begun => failed::show(failure, &options.page),
+        result => result,
+    }
+}
+
+/// Runs a session, and says whether it began. However it ends, the files that were asked for are written; not with a configuration that makes no sense,
+/// because it may name one of them as an input.
+fn run_and_report(options: &Options, has_begun: &mut bool) -> Result<Option<Following>, Failure> {
     // What a replay takes out of its recording lies in the folder, if it takes anything.
     let (config, _folder) = options.configuration().map_err(Failure::input)?;
     let Options { json, latency_log, figures, .. } = options;
@@ -90,6 +99,7 @@ pub fn run(options: &Options) -> Result<Option<Following>, Failure> {
     let terminal = Terminal { output, errors };
     let mut known = Known::default();
     let result = run_configured(options, &config, &mut known, &terminal);
+    *has_begun = known.measurements.is_some();
     let written = known.report(&result, &outputs, &terminal);
     // What is said of the end comes after all else, if the terminal takes it.
     let _ = terminal.errors.finish(TERMINAL_TIMEOUT);

@@ -9,8 +9,9 @@ use tendon_config::{AcquisitionSettings, Config, Source};
 use tendon_lsl::{Inlet, Lsl, StreamFacts};
 use tendon_output::collect;
 
-use crate::options::{Base, duration};
+use crate::configuration::Base;
 use crate::output::{checked, print, tell};
+use crate::times::duration;
 use crate::{Failure, checks};
 
 /// How long a stream may take to describe its channels.

@@ -25,11 +25,12 @@ use tendon_recordings::{Channel, SkippedKind};
 
 use crate::Failure;
 use crate::channels::{channels_or_default, listed};
+use crate::configuration::{check_keys, sets};
 use crate::model_channels;
-use crate::options::{RecordingOptions, check_keys, sets};
 use crate::output::{checked, counted, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
+use crate::recording_options::RecordingOptions;
 
 use personal::People;
 

@@ -8,6 +8,7 @@
 
 use std::fmt;
 
+use serde::Serialize;
 use tendon_gesture::Gesture;
 use tendon_people::{ClippingWatch, Finding};
 use tendon_signal::{DesignError, EmgFilter, FilterSettings};
@@ -28,10 +29,9 @@ const NO_REST_RATIO: f64 = 4.0;
 const CLIPPED_SHARE: f64 = 0.001;
 
 /// Why a trial has to be done again.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Trouble {
-    /// Something about the signals.
-    Signal(Finding),
     /// The arm was not at rest.
     NoRest,
     /// Samples are missing.
@@ -44,6 +44,9 @@ pub enum Trouble {
         /// How many, of all channels.
         samples: u64,
     },
+    /// Something about the signals.
+    #[serde(untagged)]
+    Signal(Finding),
 }
 
 impl fmt::Display for Trouble {

@@ -6,6 +6,7 @@
 //! ```
 //! The supervisor waits for none of it.
 
+use std::collections::BTreeMap;
 use std::net::Shutdown;
 use std::os::unix::net::UnixDatagram;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -137,17 +138,34 @@ pub struct Answer {
     pub ok: bool,
     /// What is done, or why nothing is, in words.
     pub text: String,
+    /// The same as a key of the page's texts, for its own language; `None` where there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<String>,
+    /// What fills the places of that text.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub values: BTreeMap<String, String>,
 }
 
 impl Answer {
     /// It is done, or begun.
     pub fn done(text: impl Into<String>) -> Answer {
-        Answer { ok: true, text: text.into() }
+        Answer { ok: true, text: text.into(), key: None, values: BTreeMap::new() }
     }
 
     /// Nothing was done.
     pub fn refused(text: impl Into<String>) -> Answer {
-        Answer { ok: false, text: text.into() }
+        Answer { ok: false, ..Answer::done(text) }
+    }
+
+    /// The same with a key of the page's texts.
+    pub fn with_key(self, key: &str) -> Answer {
+        Answer { key: Some(key.to_owned()), ..self }
+    }
+
+    /// The same with what fills a place of the page's text.
+    pub fn with_value(mut self, place: &str, value: impl ToString) -> Answer {
+        self.values.insert(place.to_owned(), value.to_string());
+        self
     }
 }
 
@@ -201,7 +219,7 @@ impl Asked {
 impl Drop for Asked {
     fn drop(&mut self) {
         if let Some(reply) = self.reply.take() {
-            reply.answer(&Answer::refused("the session is ending"));
+            reply.answer(&Answer::refused("the session is ending").with_key("session-ending"));
         }
     }
 }
@@ -301,7 +319,8 @@ impl Hearing {
                     match serde_json::from_slice(&bytes[..datagram.length]) {
                         Ok(Request::Status) => reply.send(&lock(&self.status)),
                         Ok(_) if Arc::strong_count(&self.waiting) > MOST_WAITING => {
-                            reply.answer(&Answer::refused("too many requests wait: ask again in a moment"));
+                            let text = "too many requests wait: ask again in a moment";
+                            reply.answer(&Answer::refused(text).with_key("too-many-requests"));
                         }
                         Ok(request) => {
                             let waiting = self.waiting.clone();
@@ -442,7 +461,8 @@ mod tests {
         assert!(ask().join().unwrap().text.contains("too many"));
         drop(held);
         for one in waiting {
-            assert_eq!(one.join().unwrap(), Answer::refused("the session is ending"));
+            let ending = Answer::refused("the session is ending").with_key("session-ending");
+            assert_eq!(one.join().unwrap(), ending);
         }
     }
 

@@ -42,7 +42,7 @@ impl StatusBoard {
         let on_request = move |asked: Asked| {
             let refusal = refusal(&asked.request, &lock(&seen));
             match refusal {
-                Some(text) => asked.answer(&Answer::refused(text)),
+                Some(refusal) => asked.answer(&refusal),
                 // Once nobody listens any more the request is dropped, which says so.
                 None => drop(events.send(Event::Request(asked))),
             }
@@ -75,7 +75,8 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Why this cannot be asked for now.
-fn refusal(request: &Request, status: &CalibrationStatus) -> Option<&'static str> {
+fn refusal(request: &Request, status: &CalibrationStatus) -> Option<Answer> {
+    let refused = |text| Some(Answer::refused(text));
     match request {
         Request::Calibration(what) => {
             let wanted = match what {
@@ -83,12 +84,16 @@ fn refusal(request: &Request, status: &CalibrationStatus) -> Option<&'static str
                 CalibrationRequest::Redo => May::Redo,
                 CalibrationRequest::Stop => May::Stop,
             };
-            (!status.may.contains(&wanted)).then_some("the calibration does not wait for that now")
+            let not_waiting = || Answer::refused("the calibration does not wait for that now");
+            (!status.may.contains(&wanted)).then(|| not_waiting().with_key("calibration-not-waiting"))
         }
-        Request::Next(_) => (!status.phase.is_over()).then_some("the calibration is not over: stop it first"),
-        Request::Record(_) => Some("a calibration is always recorded, and ends its recording itself"),
-        Request::Gesture(_) => Some("in a calibration the simulated person follows the cues"),
-        Request::Mode(_) => Some("there is no arm in a calibration, so there are no modes"),
+        Request::Next(_) => {
+            let not_over = || Answer::refused("the calibration is not over: stop it first");
+            (!status.phase.is_over()).then(|| not_over().with_key("calibration-not-over"))
+        }
+        Request::Record(_) => refused("a calibration is always recorded, and ends its recording itself"),
+        Request::Gesture(_) => refused("in a calibration the simulated person follows the cues"),
+        Request::Mode(_) => refused("there is no arm in a calibration, so there are no modes"),
         Request::Status => None,
     }
 }

@@ -29,9 +29,10 @@ use super::recording::Recording;
 use super::round::{Attendance, Live, RoundEnd};
 use super::status::{CalibrationStatus, Phase};
 use super::{Fitted, Selection, fit, report, update};
+use crate::channels::ask_for;
 use crate::next::Following;
-use crate::options::duration;
-use crate::personal::{WINDOWS, ask_for, check_simulated, is_simulated, personal_windows};
+use crate::personal::{WINDOWS, check_simulated, is_simulated, personal_windows};
+use crate::times::duration;
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// What the keys do.

@@ -7,6 +7,7 @@ use tendon_gesture::Gesture;
 use tendon_people::{Finding, Person};
 
 use super::check::CheckScores;
+use super::status::InWords;
 
 /// What was learnt of a person. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -20,7 +21,7 @@ pub struct PageReport {
     /// The channels, in order.
     channels: Vec<ChannelReport>,
     /// What should be mended, the most serious first.
-    findings: Vec<String>,
+    findings: Vec<InWords<Finding>>,
     confusion: ConfusionReport,
     /// How a check round went; `None` without one.
     check: Option<CheckReport>,
@@ -81,7 +82,7 @@ impl PageReport {
             expected_if_alike: person.expected.if_alike,
             gestures: gestures.collect(),
             channels: channels.collect(),
-            findings: person.findings.iter().map(ToString::to_string).collect(),
+            findings: person.findings.iter().map(InWords::of).collect(),
             confusion: ConfusionReport { gestures: names, counts },
             check: check.map(|check| CheckReport { before: check.before, after: check.after }),
             file: file.display().to_string(),

@@ -11,7 +11,7 @@ use tendon_people::{People, PersonName};
 use tendon_process::NextCalibration;
 
 use super::guided::check;
-use crate::options::Base;
+use crate::configuration::Base;
 use crate::{Command, next, page};
 
 /// What is typed for this calibration with the source and the settings of a session: `base` is what it was started with, `config`

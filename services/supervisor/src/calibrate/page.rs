@@ -6,24 +6,17 @@
 //!                             └────── Ctrl-C, q ──────▶ the end
 //! ```
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::Duration;
+use std::sync::mpsc::Receiver;
 
-use anyhow::bail;
 use tendon_config::Config;
-use tendon_process::{Answer, Next, Request};
+use tendon_process::Next;
 use tendon_session::{Event, Writer};
 
 use super::Options;
 use super::next::command_line;
-use crate::next::{Following, Handover, read, session_after};
+use crate::Failure;
+use crate::next::{Following, Handover, session_after, strategy_of};
 use crate::page::Page;
-use crate::{Command, Failure};
-
-/// What is said while the page shows what came of the calibration.
-const HELD: &str = "the page goes on from here; Ctrl-C ends it";
-/// Time between two looks at the page meanwhile.
-const HOLD_LOOK: Duration = Duration::from_millis(200);
 
 /// The page, which listens.
 #[derive(Debug)]
@@ -59,43 +52,21 @@ impl CalibrationPage {
         config: &Config,
         events: &Receiver<Event>,
     ) -> Option<Following> {
-        self.errors.say(HELD);
-        loop {
-            match events.recv_timeout(HOLD_LOOK) {
-                Ok(Event::Request(asked)) => {
-                    let Request::Next(next) = &asked.request else { continue };
-                    match self.after(options, config, next) {
-                        Ok(command_line) => {
-                            asked.answer(&Answer::done("what was asked for begins"));
-                            let handover = self.page.keys();
-                            let handover =
-                                handover.map(|page| Handover { page: page.clone(), run: self.run.clone() });
-                            return Some(Following { command_line, handover });
-                        }
-                        Err(error) => asked.answer(&Answer::refused(format!("{error:#}"))),
-                    }
-                }
-                Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return None,
-                Ok(_) | Err(RecvTimeoutError::Timeout) => self.page.look(),
-            }
-        }
-    }
-
-    /// The command line of what is to follow.
-    fn after(&self, options: &Options, config: &Config, next: &Next) -> anyhow::Result<Vec<String>> {
-        match next {
+        let CalibrationPage { page, run, errors } = self;
+        let after = |next: &Next| match next {
             Next::Session(next) => {
-                let Command::Run(run) = read(&self.run)? else { bail!("a session is what follows") };
                 // Of one whose person is gone, the configuration's: another person is asked for.
-                let strategy = run
-                    .configuration()
-                    .map_or(config.decision.strategy, |(config, _)| config.decision.strategy);
-                session_after(&self.run, strategy, next)
+                let strategy = strategy_of(run).unwrap_or(config.decision.strategy);
+                session_after(run, strategy, next)
             }
             Next::Calibrate(wanted) => {
                 command_line(wanted, (&options.base, config), &options.page, &options.guided.times())
             }
-        }
+        };
+        let command_line = page.hold(events, errors, after)?;
+        let session = config.session.clone();
+        let handover = page.keys().map(|keys| Handover { page: keys.clone(), run: run.clone(), session });
+        Some(Following { command_line, handover })
     }
 }
 

@@ -18,7 +18,7 @@ use tendon_session::{AcquisitionWatch, Heard, Writer};
 use tendon_transport::Received;
 
 use super::board::StatusBoard;
-use super::status::{CalibrationStatus, May, Phase, asked};
+use super::status::{CalibrationStatus, InWords, May, Phase, asked};
 use crate::Failure;
 
 /// Longest time between two looks at keys and blocks: less than their topic holds.
@@ -289,7 +289,7 @@ impl<'a> Live<'a> {
             round.guide.wait();
             round.asks = true;
             self.board.change(|status| {
-                status.trouble = Some(trouble.to_string());
+                status.trouble = Some(InWords::of(trouble));
                 status.may = round.may();
             });
             if let Some(line) = self.board.look(|status| status.trouble_line(self.attendance.has_keys)) {

@@ -7,7 +7,7 @@
 
 use serde::Serialize;
 use tendon_gesture::Gesture;
-use tendon_guide::{Ask, Cue};
+use tendon_guide::{Ask, Cue, Trouble};
 use tendon_people::PersonName;
 
 use super::learnt::PageReport;
@@ -52,6 +52,21 @@ pub enum May {
     Stop,
 }
 
+/// Something that the page says in its own language, beside its English text.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct InWords<T> {
+    text: String,
+    #[serde(flatten)]
+    what: T,
+}
+
+impl<T: Clone + ToString> InWords<T> {
+    /// With the text that it has.
+    pub fn of(what: &T) -> InWords<T> {
+        InWords { text: what.to_string(), what: what.clone() }
+    }
+}
+
 /// A calibration as it is now. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CalibrationStatus {
@@ -80,7 +95,7 @@ pub struct CalibrationStatus {
     /// Left of the round, s.
     pub all_left_s: f64,
     /// What is wrong and waits for an answer.
-    pub trouble: Option<String>,
+    pub trouble: Option<InWords<Trouble>>,
     /// What can be said now.
     pub may: Vec<May>,
     /// What was learnt, once it is.
@@ -173,7 +188,7 @@ impl CalibrationStatus {
             (true, true) => "r: again, Enter: keep it as it is, q: stop",
             (true, false) => "Enter: again, q: stop",
         };
-        Some(format!("! {trouble}\n  {answers}"))
+        Some(format!("! {}\n  {answers}", trouble.text))
     }
 }
 
@@ -194,6 +209,7 @@ fn bar(share: f64) -> String {
 mod tests {
     use super::*;
     use tendon_guide::Trial;
+    use tendon_people::Finding;
 
     fn status() -> CalibrationStatus {
         CalibrationStatus::new("anna".parse().unwrap(), 2)
@@ -240,9 +256,13 @@ mod tests {
     fn trouble_is_said_with_what_can_be_answered() {
         let mut status = status();
         assert_eq!(status.trouble_line(true), None);
-        status.trouble = Some("channel 2 is flat".to_owned());
+        status.trouble = Some(InWords::of(&Trouble::NoRest));
         status.may = vec![May::Redo, May::Stop];
-        assert_eq!(status.trouble_line(true).unwrap(), "! channel 2 is flat\n  Enter: again, q: stop");
+        let line = status.trouble_line(true).unwrap();
+        assert!(
+            line.starts_with("! the muscles were tense") && line.ends_with("\n  Enter: again, q: stop"),
+            "{line}"
+        );
         status.may = vec![May::GoOn, May::Redo, May::Stop];
         assert!(status.trouble_line(true).unwrap().contains("keep it as it is"));
         assert!(status.trouble_line(false).unwrap().ends_with("the page asks what to do"));
@@ -260,6 +280,14 @@ mod tests {
             "all_left_s": 70.2, "trouble": null, "may": ["go-on"], "report": null, "error": null,
         });
         assert_eq!(json, expected);
+        status.trouble = Some(InWords::of(&Trouble::Lost { samples: 40 }));
+        let trouble = &serde_json::to_value(&status).unwrap()["trouble"];
+        assert_eq!((&trouble["kind"], &trouble["samples"]), (&"lost".into(), &40.into()));
+        let not_made = Trouble::Signal(Finding::NotMade { gesture: Gesture::GRIP });
+        status.trouble = Some(InWords::of(&not_made));
+        let trouble = &serde_json::to_value(&status).unwrap()["trouble"];
+        assert_eq!((&trouble["kind"], &trouble["gesture"]), (&"not_made".into(), &"grip".into()));
+        assert!(trouble["text"].as_str().unwrap().starts_with("grip looks like rest"), "{trouble}");
         status.rest_in(Phase::Fitting);
         assert_eq!((status.ask, status.may.len(), status.countdown_s), (Ask::Nothing, 0, None));
     }

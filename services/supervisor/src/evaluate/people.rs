@@ -13,7 +13,7 @@ use tendon_provenance::Provenance;
 use super::Options;
 use crate::Failure;
 use crate::channels::{channels_or_default, listed};
-use crate::options::WINDOW_KEYS;
+use crate::configuration::WINDOW_KEYS;
 use crate::output::{left_out, print};
 use crate::personal::{dataset_settings, how_to_get_personal_windows, shipped_prior, windows_in_words};
 use crate::progress::Works;

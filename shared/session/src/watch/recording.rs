@@ -42,6 +42,7 @@ impl Watch<'_> {
         match (&mut self.recorder, is_wanted) {
             (Some(recorder), _) if recorder.is_finishing() => {
                 Answer::refused("the recording is being finished: ask again in a moment")
+                    .with_key("recording-finishing")
             }
             (Some(_), true) => Answer::done("it is being recorded already"),
             (Some(recorder), false) => {
@@ -55,7 +56,7 @@ impl Watch<'_> {
 
     fn begin_recording(&mut self) -> Answer {
         let Some(plan) = &self.plan else {
-            return Answer::refused("this session cannot be recorded");
+            return Answer::refused("this session cannot be recorded").with_key("recording-impossible");
         };
         match self.children.start_recorder(plan) {
             Ok(recorder) => {
