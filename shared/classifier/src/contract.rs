@@ -3,7 +3,7 @@
 use std::fmt;
 
 use tendon_gesture::Class;
-use tendon_signal::{FilterSettings, SignalSettings, WindowInput};
+use tendon_signal::{FilterSettings, SignalSettings, WindowInput, are_same_channels};
 
 use crate::problem::{ContractProblem, senseless};
 use crate::trained_on::TrainedOn;
@@ -153,7 +153,7 @@ impl Contract {
         let known = self.remembered_channels();
         // A column that has only a number may be any channel of an amplifier that gives names.
         let is_unknown = known.is_empty() || (are_numbers(known) && !are_numbers(given));
-        (!is_unknown && known != given)
+        (!is_unknown && !are_same_channels(known, given))
             .then(|| format!("the model knows {}; {source} {}", known.join(", "), given.join(", ")))
     }
 
