@@ -112,8 +112,8 @@ impl Viewer {
     /// The state after all that was said before.
     fn state_now(&mut self) -> Value {
         self.say(&json!({"ping": {"t": -1.0}}));
-        self.next("pong", |pong| pong["t"] == -1.0);
-        self.next("state", |_| true)
+        let now_ns = self.next("pong", |pong| pong["t"] == -1.0)["now_ns"].as_u64();
+        self.next("state", |state| state["seen_ns"].as_u64() > now_ns)
     }
 
     /// The answer to a request.
@@ -169,8 +169,23 @@ fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
     let answer = viewer.next("answer", |_| true);
     assert_eq!((&answer["id"], &answer["order"], &answer["ok"]), (&json!(7), &json!("stop"), &json!(true)));
     viewer.next("state", |state| state["permission"] == "stopped" && state["stop_reason"] == "ordered");
-    viewer.say(&json!({"order": {"id": 8, "what": "arm"}}));
-    assert_eq!(viewer.next("answer", |_| true)["ok"], true);
+    // An order to arm counts for the state that its sender saw: not for one before the newest stop.
+    let seen_ns = viewer.state_now()["seen_ns"].clone();
+    viewer.say(&json!({"order": {"id": 8, "what": "stop"}}));
+    assert_eq!(viewer.next("answer", |answer| answer["id"] == 8)["ok"], true);
+    for late in [json!({"id": 9, "what": "arm", "seen_ns": seen_ns}), json!({"id": 9, "what": "arm"})] {
+        viewer.say(&json!({"order": late}));
+        let answer = viewer.next("answer", |answer| answer["id"] == 9);
+        assert!(
+            answer["ok"] == false && answer["text"].as_str().unwrap().contains("look at it again"),
+            "{answer}"
+        );
+    }
+    let state = viewer.state_now();
+    assert_eq!(state["permission"], "stopped");
+    viewer.say(&json!({"order": {"id": 10, "what": "arm", "seen_ns": state["seen_ns"]}}));
+    let answer = viewer.next("answer", |answer| answer["id"] == 10);
+    assert_eq!(answer["ok"], true, "{answer}");
     viewer.next("state", |state| state["permission"] == "granted");
     drop(idle);
 
@@ -301,7 +316,12 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
     let hello = again.next("hello", |_| true);
     assert_eq!((&hello["strategy"], &hello["rights"]), (&json!("threshold"), &json!("orders")));
     again.next("desk", |desk| desk["task"].is_object());
-    again.next("state", |state| state["permission"].is_string());
+    // It begins stopped, and waits for somebody who says that the arm may move.
+    let state = again.next("state", |_| true);
+    assert_eq!((&state["permission"], &state["stop_reason"]), (&json!("stopped"), &json!("next-session")));
+    again.say(&json!({"order": {"id": 1, "what": "arm", "seen_ns": again.state_now()["seen_ns"]}}));
+    assert_eq!(again.next("answer", |_| true)["ok"], true);
+    again.next("state", |state| state["permission"] != "stopped");
     assert!(page.request(&page.watch, &[]).is_ok());
     tendon.signal(Signal::SIGTERM);
     let ended = tendon.end();

@@ -103,7 +103,8 @@ class RealSessions(PageCase):
         page.click("#next-open")
         page.click("[data-choice=task] [data-option=zones]")
         page.click("#next .column:first-child .begins")
-        page.wait_for(f"{ANSWERED} === 'Next session: done' && {IS_LIVE}", LIMIT_S)
+        page.wait_for(f"{ANSWERED} === 'Next session: done' && {IS_LIVE} && {TITLE} === 'The arm waits'", LIMIT_S)
+        page.click("#arm")
         page.wait_for(f"{TITLE} === 'Ready · rest' && document.querySelector('#task-zone').textContent.startsWith('Zone: ')",
                       LIMIT_S)
         self.screenshot(page, "zones")

@@ -54,37 +54,29 @@ impl Orders {
         Orders { session, arming: Arc::default() }
     }
 
-    /// Gives the robot an order; its answer goes to `answers` when it comes. A stop that comes while the robot is being asked
-    /// to arm is given at once, and again afterwards, so that the two cannot overtake each other.
-    pub fn give(&self, id: u64, order: What, answers: Sender<Told>) {
+    /// Gives the robot an order of somebody to whom the page showed the arm as it was at `seen_ns`; its answer goes to
+    /// `answers` when it comes. An order to arm that a stop overtakes on its way is refused by the robot.
+    pub fn give(&self, id: u64, order: What, seen_ns: u64, answers: Sender<Told>) {
         let told = move |answer| Told { id, order: order.name(), answer };
-        let (session, arming) = (self.session.clone(), self.arming.clone());
-        match (order, arming.clone().try_lock_owned()) {
-            (What::Arm, Ok(held)) => {
-                tokio::spawn(async move {
-                    let answer = ask(session, Order::Arm).await;
-                    drop(held);
-                    // Whoever asked may be gone.
-                    let _ = answers.send(told(answer)).await;
-                });
-            }
-            (What::Arm, Err(_)) => {
-                let answer = Answer::refused("the robot is already being asked to arm: wait for its answer");
-                let _ = answers.try_send(told(answer.with_key("arming")));
-            }
-            (What::Stop, held) => {
-                let is_arming = held.is_err();
-                drop(held);
-                tokio::spawn(async move {
-                    let answer = ask(session.clone(), Order::Stop).await;
-                    let _ = answers.send(told(answer)).await;
-                    if is_arming {
-                        let _held = arming.lock().await;
-                        ask(session, Order::Stop).await;
-                    }
-                });
-            }
-        }
+        let (order, arming) = match order {
+            What::Stop => (Order::Stop, None),
+            What::Arm => match self.arming.clone().try_lock_owned() {
+                Ok(arming) => (Order::Arm { seen_ns }, Some(arming)),
+                Err(_) => {
+                    let answer =
+                        Answer::refused("the robot is already being asked to arm: wait for its answer");
+                    let _ = answers.try_send(told(answer.with_key("arming")));
+                    return;
+                }
+            },
+        };
+        let session = self.session.clone();
+        tokio::spawn(async move {
+            let answer = ask(session, order).await;
+            drop(arming);
+            // Whoever asked may be gone.
+            let _ = answers.send(told(answer)).await;
+        });
     }
 }
 

@@ -237,9 +237,20 @@ impl Reply {
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 enum Said {
-    Ping { t: f64 },
-    Order { id: u64, what: What },
-    Request { id: u64, what: Wish },
+    Ping {
+        t: f64,
+    },
+    Order {
+        id: u64,
+        what: What,
+        /// When the arm was as the page shows it, as the newest state says. Without it an order to arm is too late.
+        #[serde(default)]
+        seen_ns: u64,
+    },
+    Request {
+        id: u64,
+        what: Wish,
+    },
 }
 
 /// The answer to somebody who gives an order or asks for something and may only watch.
@@ -281,14 +292,14 @@ async fn hear(mut input: SplitStream<WebSocket>, page: &Page, rights: Rights, re
                     return;
                 }
             }
-            Ok(Said::Order { id, what }) if rights == Rights::Orders => {
-                page.orders.give(id, what, answers.clone())
+            Ok(Said::Order { id, what, seen_ns }) if rights == Rights::Orders => {
+                page.orders.give(id, what, seen_ns, answers.clone())
             }
             Ok(Said::Request { id, what }) if rights == Rights::Orders => {
                 page.requests.pass(id, what, answers.clone())
             }
             // A viewer that takes no answers gets none.
-            Ok(Said::Order { id, what }) => drop(answers.try_send(refusal(id, what.name()))),
+            Ok(Said::Order { id, what, .. }) => drop(answers.try_send(refusal(id, what.name()))),
             Ok(Said::Request { id, what }) => drop(answers.try_send(refusal(id, what.name()))),
             Err(_) => return,
         }
@@ -344,6 +355,7 @@ mod tests {
         let understood = |text: &str| serde_json::from_str::<Said>(text).is_ok();
         assert!(understood(r#"{"ping":{"t":12.5}}"#));
         assert!(understood(r#"{"order":{"id":1,"what":"stop"}}"#));
+        assert!(understood(r#"{"order":{"id":1,"what":"arm","seen_ns":7}}"#));
         assert!(understood(r#"{"request":{"id":1,"what":{"note":"electrode 3 is loose"}}}"#));
         assert!(understood(r#"{"request":{"id":1,"what":{"record":true}}}"#));
         assert!(understood(r#"{"request":{"id":1,"what":{"calibration":"go-on"}}}"#));
@@ -352,6 +364,7 @@ mod tests {
             "{}",
             r#"{"order":{"id":1,"what":"start"}}"#,
             r#"{"order":{"id":-1,"what":"stop"}}"#,
+            r#"{"order":{"id":1,"what":"arm","seen_ns":-7}}"#,
             r#"{"order":{"what":"stop"}}"#,
             r#"{"request":{"id":1,"what":{"note":7}}}"#,
             r#"{"request":{"id":1,"what":{"note":"a","record":true}}}"#,

@@ -29,7 +29,8 @@ const EDGE_RATIO: f64 = 1.25;
 const SESSION: &str = "session";
 
 /// What a state says of the arm, besides whether it may move.
-const ARM_KEYS: [&str; 13] = [
+const ARM_KEYS: [&str; 14] = [
+    "seen_ns",
     "position_mm",
     "orientation_rad",
     "joints_rad",
@@ -178,6 +179,8 @@ impl View {
         let (joints_rad, position_mm, orientation_rad) =
             (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
         Some(vec![
+            // Of which state an order is that the viewer gives next.
+            ("seen_ns", json!(header.trace.published_ns[Stage::Robot.index()])),
             ("position_mm", json!(position_mm)),
             ("orientation_rad", json!(orientation_rad)),
             ("joints_rad", json!(joints_rad)),
@@ -310,6 +313,7 @@ mod tests {
             gesture: 1,
             ..StateHeader::default()
         };
+        header.trace.published_ns[Stage::Robot.index()] = 4;
         let payload: Vec<f32> = (0..13u8).map(f32::from).collect();
         let zone = json!({"center_mm": [1.0, 2.0, 3.0], "width_mm": 20.0});
         let desk = json!({"recording": "/tmp/session.mcap", "task": {"zone": zone}});
@@ -317,7 +321,7 @@ mod tests {
         view.prediction(0.5, &[0.25, 0.75, 0.5, 1.0]);
         let state = view.now(5, &traces, &desk).unwrap();
         let expected = json!({
-            "permission": "await-rest", "stop_reason": "no-commands", "phase": "going-to-start",
+            "seen_ns": 4, "permission": "await-rest", "stop_reason": "no-commands", "phase": "going-to-start",
             "hindrance": "a joint cannot go faster", "gripper": null, "gesture": "extension",
             "joints_rad": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "position_mm": [7.0, 8.0, 9.0],
             "zone": zone, "recording": "/tmp/session.mcap", "orientation_rad": [10.0, 11.0, 12.0], "probabilities": [0.25, 0.75], "efforts": [0.5, 1.0],

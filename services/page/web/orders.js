@@ -85,7 +85,9 @@ export class Orders {
     this.next += 1;
     // A session that is silent may still hear: only STOP is tried then.
     const isHeard = this.connection.why === null || what === "stop";
-    if (!isHeard || !this.connection.send({ order: { id, what } })) {
+    // Which state of the arm this is about: if it was stopped since, it stays so.
+    const seen = what === "arm" ? { seen_ns: this.state.seen_ns } : {};
+    if (!isHeard || !this.connection.send({ order: { id, what, ...seen } })) {
       this.tell(what === "stop" ? "stop-not-sent" : "arm-not-sent", "bad");
       return;
     }

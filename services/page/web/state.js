@@ -13,6 +13,7 @@ const HOW_FOUND = [
   "start-beyond-limit",
   "outside-box",
   "way-leaves-box",
+  "next-session",
 ];
 
 /** Title, detail and tone ("go", "move", "wait", "stop") of a state. */

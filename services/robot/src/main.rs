@@ -60,10 +60,12 @@ fn main() -> ExitCode {
                 (Box::new(XArm::connect(&config.robot.xarm, &config.robot.arm, now_ns())?), Some(owned))
             }
         };
+        let settings =
+            ControlSettings { waits_at_start: process.follows_on_session, ..control_settings(config) };
         let stopped = process.is_restarted.then_some(StopReason::StageEnded);
         let never = Arc::new(AtomicBool::new(false));
         let robot = Robot {
-            controller: Controller::new(arm, control_settings(config), stopped),
+            controller: Controller::new(arm, settings, stopped, now_ns()),
             owned,
             states: Publisher::open(&process.session, &STATES, STATE_LENGTH, Delivery::Live, never)?,
             delivery,
@@ -98,6 +100,7 @@ fn control_settings(config: &Config) -> ControlSettings {
         arm: config.robot.arm.clone(),
         has_gripper,
         start_speed_rad_per_s: config.robot.xarm.start_speed_deg_per_s.to_radians(),
+        waits_at_start: false,
         needs_calibration: config.decision.strategy == Strategy::Threshold,
         increment_samples: config.dsp.windows.increment_samples as u64,
         rest_windows: rest_windows(config),
@@ -285,26 +288,38 @@ impl Robot {
             Order::Alive => self.controller.hear_supervisor(now_ns()),
             Order::Stop => {
                 self.was_stopped = true;
-                let answer = self.controller.order_stop();
+                let answer = self.controller.order_stop(now_ns());
                 if let Some(asker) = process.control.take_asker() {
                     process.control.answer(&asker, answer.text());
                 }
             }
-            Order::Arm => {
-                self.check_arm()?;
-                if self.taken.is_none() && self.controller.is_connected() {
-                    self.take_record()?;
-                }
-                self.askers.extend(process.control.take_asker());
-                self.controller.order_arm(now_ns());
-            }
+            Order::Arm { seen_ns } => self.arm(process, seen_ns)?,
             Order::StageEnded => {
                 self.was_stopped = true;
-                self.controller.stage_ended();
+                self.controller.stage_ended(now_ns());
             }
             Order::Start | Order::Gesture { .. } | Order::Mode(_) => {}
         }
         self.answer(process);
+        Ok(())
+    }
+
+    /// Obeys an order to arm, unless it is outdated: of that only its sender is told.
+    fn arm(&mut self, process: &mut StageProcess, seen_ns: u64) -> anyhow::Result<()> {
+        let asker = process.control.take_asker();
+        if let Some(outdated) = self.controller.is_outdated(seen_ns, now_ns()) {
+            match asker {
+                Some(asker) => process.control.answer(&asker, outdated.text()),
+                None => tracing::warn!("{}", outdated.text()),
+            }
+            return Ok(());
+        }
+        self.check_arm()?;
+        if self.taken.is_none() && self.controller.is_connected() {
+            self.take_record()?;
+        }
+        self.askers.extend(asker);
+        self.controller.order_arm(now_ns());
         Ok(())
     }
 

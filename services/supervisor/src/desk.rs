@@ -226,7 +226,7 @@ impl SessionDesk {
             }
         }
         while let Ok(Checked { asked, command_line }) = self.checked.try_recv() {
-            if self.next.is_none() {
+            if self.next.is_none() && asked.is_waited_for() {
                 self.next = Some(command_line);
                 asked.answer(&Answer::done("this session ends, and what was asked for begins"));
             }
@@ -269,9 +269,9 @@ impl SessionDesk {
         self.next.take()
     }
 
-    /// What this session hands on, where there is a page.
-    pub fn handover(&self, page: Option<&PageKeys>) -> Option<Handover> {
-        page.map(|page| Handover { page: page.clone(), run: self.run.clone(), session: self.session.clone() })
+    /// What this session hands on.
+    pub fn handover(&self, page: Option<&PageKeys>) -> Handover {
+        Handover { page: page.cloned(), run: self.run.clone(), session: self.session.clone() }
     }
 
     /// Lets decision take the mode of this name.

@@ -51,6 +51,7 @@ use std::time::Duration;
 use clap::{Parser, Subcommand};
 use tendon_process::Order;
 use tendon_session::{SessionFailure, Writer};
+use tendon_transport::now_ns;
 
 /// How long a terminal may take what is said at the end. One whose reader stopped never takes it.
 const TERMINAL_TIMEOUT: Duration = Duration::from_secs(2);
@@ -145,7 +146,7 @@ fn main() -> ExitCode {
         Command::Run(options) => run::run(&options).and_then(go_on),
         Command::Latency(options) => latency::show(&options),
         Command::Stop(options) => order::give(&options, Order::Stop),
-        Command::Arm(options) => order::give(&options, Order::Arm),
+        Command::Arm(options) => order::give(&options, Order::Arm { seen_ns: now_ns() }),
         Command::Sources(options) => sources::list(&options),
         Command::Page(options) => page::serve(&options),
         Command::Note(options) => note::leave(&options),

@@ -30,8 +30,8 @@ const MODELS: [&str; 2] = ["--model", "--rest-move-model"];
 /// What a session hands on to what comes after it, in the environment.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Handover {
-    /// The page, which is to be found again.
-    pub page: PageKeys,
+    /// The page, which is to be found again, if it was there.
+    pub page: Option<PageKeys>,
     /// The command line of the session, to which a calibration leads back.
     pub run: Vec<String>,
     /// The session's name.
@@ -69,7 +69,7 @@ pub struct Following {
     /// Its command line, the program's name first.
     pub command_line: Vec<String>,
     /// What is handed on to it.
-    pub handover: Option<Handover>,
+    pub handover: Handover,
 }
 
 impl Following {
@@ -82,12 +82,11 @@ impl Following {
             Err(error) => return failed(error.into()),
         };
         let mut command = Command::new(program);
-        command.args(self.command_line.iter().skip(1)).env_remove(PAGE_VARIABLE);
-        match self.handover.as_ref().map(serde_json::to_string) {
-            Some(Ok(handover)) => drop(command.env(PAGE_VARIABLE, handover)),
-            Some(Err(error)) => return failed(error.into()),
-            None => {}
-        }
+        command.args(self.command_line.iter().skip(1));
+        match serde_json::to_string(&self.handover) {
+            Ok(handover) => command.env(PAGE_VARIABLE, handover),
+            Err(error) => return failed(error.into()),
+        };
         failed(command.exec().into())
     }
 }

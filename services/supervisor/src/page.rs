@@ -160,7 +160,11 @@ impl Page {
             match events.recv_timeout(HOLD_LOOK) {
                 Ok(Event::Request(asked)) => {
                     let Request::Next(next) = &asked.request else { continue };
-                    match after(next) {
+                    let after = after(next);
+                    if !asked.is_waited_for() {
+                        continue;
+                    }
+                    match after {
                         Ok(command_line) => {
                             asked.answer(&Answer::done("what was asked for begins"));
                             return Some(command_line);

@@ -22,8 +22,8 @@ use tendon_process::{Order, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
-    ChildrenError, Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch,
-    Writer, gesture_keys, stop_on_signals,
+    Companion, Keyboard, Keys, OutputError, RobotLine, SessionFailure, Turn, Usage, Watch, Writer,
+    gesture_keys, stop_on_signals,
 };
 use tendon_session_file::RecordingReport;
 use tendon_transport::{Delivery, Leftovers, SessionLock};
@@ -49,21 +49,47 @@ const LSL_OUTLET: &str = "tendon-lsl-outlet";
 
 /// The programs that observe the session, as far as they are asked for.
 struct Companions {
+    /// What the session before handed on, if there was one.
+    before: Option<Handover>,
     outlet: Option<Companion>,
     page: Option<Page>,
 }
 
 impl Companions {
-    fn start(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
-        let before = Handover::received().map_err(Failure::input)?.map(|handover| handover.page);
+    /// Starts the page and waits until it listens, before the stages: whoever has it can stop the arm before it moves for the
+    /// first time. In a session that follows on another the arm waits, and the page comes once the session has begun.
+    fn before_the_stages(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
+        let before = Handover::received().map_err(Failure::input)?;
+        let mut companions = Companions { before, outlet: None, page: None };
+        if !companions.follow_on_session() {
+            companions.start_page(options, config, errors)?;
+            // One that cannot listen says so, and the session goes on without it.
+            let _ = companions.page.as_mut().map(Page::wait_until_there);
+        }
+        Ok(companions)
+    }
+
+    /// Whether there was a session before, at whose page this one was asked for.
+    fn follow_on_session(&self) -> bool {
+        self.before.is_some()
+    }
+
+    fn start_page(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
+        let before = self.before.as_ref().and_then(|before| before.page.as_ref());
+        let page = options.page.page.then(|| Page::start(&options.page, config, before, errors));
+        self.page = page.transpose().map_err(Failure::running)?;
+        Ok(())
+    }
+
+    /// Starts what is missing, once the stages are ready.
+    fn start_rest(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
+        if self.follow_on_session() {
+            self.start_page(options, config, errors)?;
+        }
         let outlet =
             config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, |_| (), errors));
-        let page = options.page.page.then(|| Page::start(&options.page, config, before.as_ref(), errors));
-        let failed = |error: ChildrenError| Failure::running(error);
-        Ok(Companions {
-            outlet: outlet.transpose().map_err(failed)?,
-            page: page.transpose().map_err(failed)?,
-        })
+        self.outlet = outlet.transpose().map_err(Failure::running)?;
+        Ok(())
     }
 
     /// Says what there is to say of them. Does not wait.
@@ -211,11 +237,14 @@ fn run_locked(
     } else {
         None
     };
-    let mut watch = Watch::start(config, &robot, (&sender, events), observer, &terminal.errors)
+    let mut companions = Companions::before_the_stages(options, config, &terminal.errors)?;
+    let follows = companions.follow_on_session();
+    let mut watch = Watch::start(config, &robot, (&sender, events), observer, follows, &terminal.errors)
         .map_err(Failure::input)?;
     let plan = recorded::plan(config, options.record.as_deref(), &known.facts.provenance);
     watch.plan_recording(plan.map_err(Failure::input)?).map_err(Failure::input)?;
-    let watched = watch_until_the_end(&mut watch, options, config, (&mut known.task, &mut desk), terminal);
+    let beside = (&mut known.task, &mut desk, &mut companions);
+    let watched = watch_until_the_end(&mut watch, options, config, beside, terminal);
     // From now on nobody is told that it runs.
     drop(desk);
     let task_report = known.task.as_ref().and_then(|task| task.report(watch.observer().states_lost()));
@@ -255,7 +284,7 @@ fn watch_until_the_end(
     watch: &mut Watch<'_>,
     options: &Options,
     config: &Config,
-    (task, desk): (&mut Option<TaskRun>, &mut SessionDesk),
+    (task, desk, companions): (&mut Option<TaskRun>, &mut SessionDesk, &mut Companions),
     terminal: &Terminal,
 ) -> Result<Option<Following>, Failure> {
     if watch.wait_until_ready().map_err(failure)? == Turn::Over {
@@ -269,7 +298,7 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    let mut companions = Companions::start(options, config, &terminal.errors)?;
+    companions.start_rest(options, config, &terminal.errors)?;
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));
@@ -294,7 +323,7 @@ fn watch_until_the_end(
             return Ok(None);
         }
         if let Some(command_line) = desk.take_next() {
-            let handover = companions.page.as_ref().and_then(|page| desk.handover(page.keys()));
+            let handover = desk.handover(companions.page.as_ref().and_then(Page::keys));
             return Ok(Some(Following { command_line, handover }));
         }
     }

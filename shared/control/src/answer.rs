@@ -28,6 +28,29 @@ impl StopAnswer {
     }
 }
 
+/// Why an order to permit motion counts for nothing: its sender saw the arm as it was before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outdated {
+    /// The arm was stopped after its sender looked, or a new reason for the stop became known.
+    StoppedSince,
+    /// Its sender looked too long ago, or claims to have seen what is to come.
+    TooLate,
+}
+
+impl Outdated {
+    /// The answer as a sentence.
+    pub fn text(self) -> &'static str {
+        match self {
+            Outdated::StoppedSince => {
+                "not armed: the arm was stopped after this order was given; look at it again, then arm it anew"
+            }
+            Outdated::TooLate => {
+                "not armed: the order came too late; look at the arm again, then arm it anew"
+            }
+        }
+    }
+}
+
 /// What came of an order to permit motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArmAnswer {

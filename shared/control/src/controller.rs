@@ -13,7 +13,7 @@ mod watch;
 use tendon_arm::{ArmSettings, Guard, JointVector, LimitViolation, Twist, XArm7};
 use tendon_messages::{CommandHeader, Permission, StateHeader, StopReason, TWIST_LENGTH, Trace, TwistFrame};
 
-use crate::answer::{ArmAnswer, StopAnswer};
+use crate::answer::{ArmAnswer, Outdated, StopAnswer};
 use crate::arm::{Arm, ArmReport, Drive, Link, Stop};
 use crate::gripper::Gripper;
 use crate::latch::Latch;
@@ -26,6 +26,8 @@ use watch::ARM_SILENCE_NS;
 const CONNECT_TIMEOUT_NS: u64 = 10_000_000_000;
 /// How long the arm may take to be brought up after an order, ns.
 const BRING_UP_TIMEOUT_NS: u64 = 11_000_000_000;
+/// An order to arm counts for so long after its sender saw the arm, ns: a person who looks, decides and presses takes less.
+const SEEN_NS: u64 = 2_000_000_000;
 
 /// What the controller needs to know.
 #[derive(Clone, Debug)]
@@ -36,6 +38,8 @@ pub struct ControlSettings {
     pub has_gripper: bool,
     /// Greatest speed of a joint on the way to the start position, rad/s.
     pub start_speed_rad_per_s: f64,
+    /// Whether the arm waits for an order to arm at the start, also where it would set out, or follow, by itself.
+    pub waits_at_start: bool,
     /// Whether rest is known only once the activity detector is calibrated.
     pub needs_calibration: bool,
     /// Samples from one window to the next.
@@ -88,12 +92,14 @@ pub struct Controller {
     gripper: Gripper,
     start: Start,
     phase: Phase,
+    /// When the arm was stopped last, or a new reason for it became known; `None` before the first stop.
+    stopped_ns: Option<u64>,
     /// Why the arm could not be reached.
     failure: Option<Stop>,
     /// Whether it has followed commands in this session.
     has_followed: bool,
-    /// Whether the arm waits for nothing but a word that it may go to its start position, which is far away.
-    waits_to_go_far: bool,
+    /// Whether the arm waits for nothing but a word that it may go to its start position.
+    waits_to_go: bool,
     connecting_since_ns: Option<u64>,
     /// When the supervisor was last heard; `None` without one.
     supervisor_heard_ns: Option<u64>,
@@ -110,10 +116,15 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller of an arm that begins to connect. It goes to its start position by itself if how it was left
-    /// permits that ([`Controller::depart`]), or waits for [`Controller::order_arm`] from the beginning because of
-    /// `stopped`.
-    pub fn new(arm: Box<dyn Arm>, settings: ControlSettings, stopped: Option<StopReason>) -> Controller {
+    /// A controller of an arm that begins to connect at the time `now_ns`. It goes to its start position by itself if how
+    /// it was left permits that ([`Controller::depart`]), or waits for [`Controller::order_arm`] from the beginning
+    /// because of `stopped`.
+    pub fn new(
+        arm: Box<dyn Arm>,
+        settings: ControlSettings,
+        stopped: Option<StopReason>,
+        now_ns: u64,
+    ) -> Controller {
         let mut latch = Latch::new(settings.rest_windows, settings.needs_calibration);
         if let Some(reason) = stopped {
             latch.stop(Stop::because(reason));
@@ -128,9 +139,10 @@ impl Controller {
             gripper: Gripper::new(&settings.arm),
             start: Start::new(&settings.arm, settings.start_speed_rad_per_s),
             phase: Phase::Connecting,
+            stopped_ns: stopped.map(|_| now_ns),
             failure: None,
             has_followed: false,
-            waits_to_go_far: false,
+            waits_to_go: false,
             connecting_since_ns: None,
             supervisor_heard_ns: None,
             woke_ns: None,
@@ -221,8 +233,8 @@ impl Controller {
     }
 
     /// Somebody ordered the arm to stop.
-    pub fn order_stop(&mut self) -> StopAnswer {
-        self.stop(Stop::because(StopReason::Ordered));
+    pub fn order_stop(&mut self, now_ns: u64) -> StopAnswer {
+        self.stop(Stop::because(StopReason::Ordered), now_ns);
         let report = self.arm.report();
         match report.link {
             Link::Connecting => StopAnswer::NotConnected,
@@ -232,10 +244,10 @@ impl Controller {
     }
 
     /// Another stage ended: its successor begins anew.
-    pub fn stage_ended(&mut self) {
+    pub fn stage_ended(&mut self, now_ns: u64) {
         self.newest_command = None;
         self.gripper.counts_anew();
-        self.stop(Stop::because(StopReason::StageEnded));
+        self.stop(Stop::because(StopReason::StageEnded), now_ns);
     }
 
     /// The session ends: stops the arm for good, unless it is not known yet whether this session may have it.
@@ -246,10 +258,23 @@ impl Controller {
         self.gripper.stopped();
     }
 
+    /// Why an order to arm counts for nothing now, if it does. Orders are late where a process or a line hangs: one whose
+    /// sender saw the arm at `seen_ns` must not undo a stop that came after that. To be asked before
+    /// [`Controller::order_arm`].
+    pub fn is_outdated(&self, seen_ns: u64, now_ns: u64) -> Option<Outdated> {
+        if self.stopped_ns.is_some_and(|stopped_ns| seen_ns < stopped_ns) {
+            return Some(Outdated::StoppedSince);
+        }
+        // Nobody saw what is to come.
+        let is_late = now_ns.checked_sub(seen_ns).is_none_or(|age_ns| age_ns > SEEN_NS);
+        is_late.then_some(Outdated::TooLate)
+    }
+
     /// Somebody ordered to permit motion again. [`Controller::take_answer`] tells what came of it, at once or once the
     /// arm is up.
     ///
-    /// An arm that waits because its start position is far away goes there; any other follows from where it is.
+    /// An arm that waits only because its start position is far away, or at the start of a session that follows on another,
+    /// goes there; any other follows from where it is.
     pub fn order_arm(&mut self, now_ns: u64) {
         self.notice_stall(now_ns);
         let report = self.arm.report();
@@ -269,11 +294,12 @@ impl Controller {
                 let unseen = report.error_code.map(Stop::by_fault);
                 if let Some(fault) = unseen.filter(|fault| self.latch.reason() != Some(*fault)) {
                     // Nobody can have acknowledged an error before it was shown.
-                    self.wait(fault);
+                    self.wait(fault, now_ns);
                     self.answer = Some(ArmAnswer::Failed(fault));
                     return;
                 }
-                let goes_to_start = self.waits_to_go_far;
+                let is_there = report.joints_rad.is_some_and(|joints_rad| self.start.is_at(&joints_rad));
+                let goes_to_start = self.waits_to_go && !is_there;
                 self.latch.stop(Stop::because(StopReason::Ordered));
                 self.latch.forget_reason();
                 self.asked = Some(Asked { deadline_ns: now_ns + BRING_UP_TIMEOUT_NS });
@@ -295,9 +321,12 @@ impl Controller {
                 None => self.start.permit(departure, &joints_rad, &limits).map_err(Stop::because),
             };
             match permitted {
+                Ok(()) if self.settings.waits_at_start => {
+                    self.wait(Stop::because(StopReason::NextSession), now_ns);
+                }
                 Ok(()) if self.start.is_at(&joints_rad) => self.bring_up(Drive::Flange, false, now_ns),
                 Ok(()) => self.bring_up(Drive::Joints, false, now_ns),
-                Err(stop) => self.wait(stop),
+                Err(stop) => self.wait(stop, now_ns),
             }
         }
     }
@@ -311,16 +340,18 @@ impl Controller {
         };
     }
 
-    fn stop(&mut self, stop: Stop) {
+    fn stop(&mut self, stop: Stop, now_ns: u64) {
         self.arm.stop();
-        self.wait(stop);
+        self.wait(stop, now_ns);
     }
 
     /// The arm stays where it is until it is armed.
-    fn wait(&mut self, stop: Stop) {
+    fn wait(&mut self, stop: Stop, now_ns: u64) {
         self.gripper.stopped();
         self.latch.stop(stop);
-        self.waits_to_go_far = stop.reason == StopReason::StartIsFar && !self.has_followed;
+        self.stopped_ns = self.stopped_ns.max(Some(now_ns));
+        let asks_to_go = matches!(stop.reason, StopReason::StartIsFar | StopReason::NextSession);
+        self.waits_to_go = asks_to_go && !self.has_followed;
         if self.phase != Phase::Connecting {
             self.phase = Phase::Waiting;
         }
@@ -354,23 +385,27 @@ impl Controller {
         let report = self.arm.report();
         match self.phase {
             Phase::Connecting => self.connect(&report, now_ns),
-            Phase::Departing => self.look_at_link(&report),
+            Phase::Departing => self.look_at_link(&report, now_ns),
             Phase::Waiting => {
                 // An error that comes later may say why the arm stopped.
                 if let Some(stop) = report.error_code.map(Stop::by_fault).or(report.stop) {
+                    let before = self.latch.reason();
                     self.latch.stop(stop);
-                    self.waits_to_go_far = false;
+                    self.waits_to_go = false;
+                    if self.latch.reason() != before {
+                        self.stopped_ns = self.stopped_ns.max(Some(now_ns));
+                    }
                 }
             }
             Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange | Phase::Following => {
-                self.look_at_link(&report);
+                self.look_at_link(&report, now_ns);
                 self.watch(&report, now_ns);
                 self.go_on(&report, now_ns);
             }
         }
         if self.asked.is_some_and(|asked| now_ns >= asked.deadline_ns) {
             self.asked = None;
-            self.stop(Stop::because(StopReason::NotReady));
+            self.stop(Stop::because(StopReason::NotReady), now_ns);
             self.answer = Some(ArmAnswer::TooSlow);
         }
     }
@@ -389,6 +424,10 @@ impl Controller {
                 _ if self.latch.permission() == Permission::Stopped => {
                     // The process before may have left a gripper on its way.
                     self.arm.stop();
+                    Phase::Waiting
+                }
+                Link::Up(_) if self.settings.waits_at_start => {
+                    self.wait(Stop::because(StopReason::NextSession), now_ns);
                     Phase::Waiting
                 }
                 Link::Up(_) => Phase::Following,
@@ -452,7 +491,7 @@ impl Controller {
             if trace.sequence <= sequence {
                 // From a decision process that began anew, whoever started it.
                 self.gripper.counts_anew();
-                self.stop(Stop::because(StopReason::StageEnded));
+                self.stop(Stop::because(StopReason::StageEnded), now_ns);
             }
             let is_next = trace.sequence == sequence.wrapping_add(1);
             if !(is_next && context.first_sample == first_sample + self.settings.increment_samples) {
@@ -501,7 +540,7 @@ impl Controller {
         }
         if self.arm.command(twist, now_ns).is_err() {
             // It is taken as rest; a decision process that sends such is not to be followed.
-            self.stop(Stop::because(StopReason::NoCommands));
+            self.stop(Stop::because(StopReason::NoCommands), now_ns);
         }
     }
 }

@@ -22,7 +22,7 @@ mod latch;
 mod simulated;
 mod start;
 
-pub use answer::{ArmAnswer, StopAnswer};
+pub use answer::{ArmAnswer, Outdated, StopAnswer};
 pub use arm::{Arm, ArmReport, Drive, Link, Stop};
 pub use controller::{ControlSettings, Controller, State, Taken};
 pub use start::Departure;

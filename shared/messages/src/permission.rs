@@ -72,6 +72,8 @@ numbered! {
         UsedSince = 25,
         /// There has been no connection to the arm yet.
         NeverConnected = 26,
+        /// The session follows on another, and nobody has said yet that the arm may move in it.
+        NextSession = 27,
     }
 }
 
@@ -105,8 +107,8 @@ impl StopReason {
     /// `tendon arm`.
     pub fn is_how_found(self) -> bool {
         use StopReason::{
-            MovedSince, NotLeftInGoodOrder, OutsideBox, RecordUnusable, StartBeyondLimit, StartIsFar,
-            UsedSince, WayLeavesBox,
+            MovedSince, NextSession, NotLeftInGoodOrder, OutsideBox, RecordUnusable, StartBeyondLimit,
+            StartIsFar, UsedSince, WayLeavesBox,
         };
         matches!(
             self,
@@ -118,6 +120,7 @@ impl StopReason {
                 | StartBeyondLimit
                 | OutsideBox
                 | WayLeavesBox
+                | NextSession
         )
     }
 }
@@ -164,6 +167,9 @@ impl fmt::Display for StopReason {
                 "the arm did not move as it was told: find out what holds, pulls or slows it"
             }
             StopReason::NeverConnected => "no arm answers at its address: check address, cable and power",
+            StopReason::NextSession => {
+                "this session follows on another: look at the arm and its surroundings"
+            }
             StopReason::ArmSilent => "the arm did not answer in time: check its network",
         })
     }

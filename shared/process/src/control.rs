@@ -262,7 +262,7 @@ mod tests {
         assert_eq!(control.wait(None, None).unwrap(), Wake::Order(Order::Alive));
         // More than is read in one piece.
         supervisor.write_all(&b"alive\n".repeat(100)).unwrap();
-        supervisor.write_all(b"stop\narm\n").unwrap();
+        supervisor.write_all(b"stop\narm 1\n").unwrap();
         raise(Signal::SIGTERM).unwrap();
         assert_eq!(control.wait(None, None).unwrap(), Wake::Order(Order::Stop));
         assert_eq!(control.wait(None, None).unwrap(), Wake::Stop);

@@ -58,6 +58,9 @@ struct Arguments {
     /// The process before did not end in good order. The robot then leaves the arm where it is until it is armed.
     #[arg(long)]
     restarted: bool,
+    /// The session follows on another. The robot then leaves the arm where it is until it is armed.
+    #[arg(long)]
+    follows_on_session: bool,
 }
 
 /// The line a process writes to standard output when it is ready.
@@ -132,6 +135,8 @@ pub struct StageProcess {
     pub scheduling: Scheduling,
     /// Whether this process stands in for one that did not end in good order.
     pub is_restarted: bool,
+    /// Whether the session follows on another, without anybody at the terminal.
+    pub follows_on_session: bool,
     is_ready: bool,
 }
 
@@ -316,7 +321,7 @@ fn prepare(stage: Stage, arguments: &Arguments) -> Result<StageProcess, ProcessE
     };
     let session = Session::join(&config.session, stage.name())?;
     let measurements = Measurements::open(&session, stage)?;
-    let is_restarted = arguments.restarted;
+    let (is_restarted, follows_on_session) = (arguments.restarted, arguments.follows_on_session);
     Ok(StageProcess {
         stage,
         config,
@@ -325,6 +330,7 @@ fn prepare(stage: Stage, arguments: &Arguments) -> Result<StageProcess, ProcessE
         measurements,
         scheduling,
         is_restarted,
+        follows_on_session,
         is_ready: false,
     })
 }

@@ -2,7 +2,7 @@
 //! socket, so that a stop needs neither the supervisor nor shared memory.
 //!
 //! ```text
-//! tendon run ──"alive", "stop", "arm", …──▶ standard input ─┐
+//! tendon run ──"alive", "stop", …────────▶ standard input ─┐
 //!                                                           ├─▶ Control::wait ─▶ ahead of every message
 //! tendon stop ──────"stop"──▶ socket of the session ────────┘
 //!      ◀──── what came of it ────┘
@@ -43,7 +43,11 @@ pub enum Order {
     /// Stop the arm, until [`Order::Arm`].
     Stop,
     /// Permit motion again, once the person has been at rest.
-    Arm,
+    Arm {
+        /// When the arm was as the sender of the order saw it, CLOCK_MONOTONIC ns: the order must not undo a stop that came
+        /// later.
+        seen_ns: u64,
+    },
     /// Another stage ended: stop the arm, until [`Order::Arm`].
     StageEnded,
 }
@@ -57,7 +61,7 @@ impl Order {
             Order::Mode(place) => format!("mode {place}"),
             Order::Alive => "alive".to_owned(),
             Order::Stop => "stop".to_owned(),
-            Order::Arm => "arm".to_owned(),
+            Order::Arm { seen_ns } => format!("arm {seen_ns}"),
             Order::StageEnded => "stage-ended".to_owned(),
         }
     }
@@ -71,9 +75,8 @@ impl Order {
             "start" => Some(Order::Start),
             "alive" => Some(Order::Alive),
             "stop" => Some(Order::Stop),
-            "arm" => Some(Order::Arm),
             "stage-ended" => Some(Order::StageEnded),
-            line => parse_gesture(line).or_else(|| parse_mode(line)),
+            line => parse_gesture(line).or_else(|| parse_mode(line)).or_else(|| parse_arm(line)),
         }
     }
 }
@@ -81,6 +84,12 @@ impl Order {
 /// Reads `mode PLACE`.
 fn parse_mode(line: &str) -> Option<Order> {
     line.strip_prefix("mode ").and_then(|place| place.trim().parse().ok()).map(Order::Mode)
+}
+
+/// Reads `arm SEEN_NS`.
+fn parse_arm(line: &str) -> Option<Order> {
+    let seen_ns = line.strip_prefix("arm ").and_then(|seen_ns| seen_ns.trim().parse().ok())?;
+    Some(Order::Arm { seen_ns })
 }
 
 /// Reads `gesture NAME` and `gesture NAME EFFORT`.
@@ -331,7 +340,7 @@ fn addressee(session: &SessionName, wanted: Option<u32>) -> Result<u32, FindErro
 /// [`OrderError`] when there is no such session, or nobody answers.
 pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Result<String, OrderError> {
     let user = addressee(session, user)?;
-    let timeout = if order == Order::Arm { ARM_ANSWER_TIMEOUT } else { ANSWER_TIMEOUT };
+    let timeout = if matches!(order, Order::Arm { .. }) { ARM_ANSWER_TIMEOUT } else { ANSWER_TIMEOUT };
     let name = listening_name(user, session);
     ask(&name, user, &order.line(), timeout, MAXIMUM_LINE_LENGTH).map_err(|error| match error {
         AskError::Nobody => FindError::not_running(session).into(),
@@ -354,7 +363,7 @@ mod tests {
             Order::Mode(255),
             Order::Alive,
             Order::Stop,
-            Order::Arm,
+            Order::Arm { seen_ns: u64::MAX },
             Order::StageEnded,
         ] {
             assert_eq!(Order::parse(&order.line()), Some(order));
@@ -377,6 +386,9 @@ mod tests {
             "mode y-z",
             "mode 1 2",
             "stop it",
+            "arm",
+            "arm now",
+            "arm -1",
         ] {
             assert_eq!(Order::parse(nonsense), None, "{nonsense}");
         }

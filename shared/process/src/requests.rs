@@ -8,13 +8,14 @@
 
 use std::collections::BTreeMap;
 use std::net::Shutdown;
+use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixDatagram;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use nix::errno::Errno;
-use nix::sys::socket::UnixAddr;
+use nix::sys::socket::{UnixAddr, connect};
 use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_transport::{SessionName, own_user};
@@ -208,6 +209,12 @@ pub struct Asked {
 }
 
 impl Asked {
+    /// Whether somebody still waits for the answer. Whoever asked a session that hangs was told that it does not answer, and
+    /// has perhaps done something else: what they asked for then is left alone.
+    pub fn is_waited_for(&self) -> bool {
+        self.reply.as_ref().is_some_and(Reply::is_waited_for)
+    }
+
     /// Says what came of it.
     pub fn answer(mut self, answer: &Answer) {
         if let Some(reply) = self.reply.take() {
@@ -232,6 +239,11 @@ struct Reply {
 }
 
 impl Reply {
+    fn is_waited_for(&self) -> bool {
+        // Who waits has a socket, and closes it with the wait.
+        UnixDatagram::unbound().is_ok_and(|probe| connect(probe.as_raw_fd(), &self.to).is_ok())
+    }
+
     fn answer(&self, answer: &Answer) {
         // It is a flag and a text.
         if let Ok(text) = serde_json::to_string(answer) {
@@ -442,6 +454,22 @@ mod tests {
         assert_eq!(requester.join().unwrap().unwrap(), Answer::done("recording"));
         drop(socket);
         assert!(matches!(session_status(&session), Err(RequestError::NotRunning(_))));
+    }
+
+    #[test]
+    fn nobody_waits_for_a_request_that_was_not_answered_in_time() {
+        let session = name("late");
+        let (sender, asked) = channel();
+        let _socket =
+            RequestSocket::listen(&session, String::new(), move |one| sender.send(one).unwrap()).unwrap();
+        let requester = {
+            let session = session.clone();
+            std::thread::spawn(move || ask_session(&session, &Request::Record(true)))
+        };
+        let one = asked.recv().unwrap();
+        assert!(one.is_waited_for());
+        assert!(matches!(requester.join().unwrap(), Err(RequestError::NoAnswer(_))));
+        assert!(!one.is_waited_for());
     }
 
     #[test]

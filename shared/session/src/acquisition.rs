@@ -61,7 +61,7 @@ impl<'a> AcquisitionWatch<'a> {
     ) -> Result<AcquisitionWatch<'a>, SessionFailure> {
         let session = Session::join(&config.session, "calibrate")?;
         let blocks = Subscriber::open(&session, &BLOCKS, None, Delivery::Live)?;
-        let children = Children::start(&[Stage::Acquisition], config, sender, robot, standard_error)?;
+        let children = Children::start(&[Stage::Acquisition], config, sender, robot, false, standard_error)?;
         Ok(AcquisitionWatch { children, events, blocks, last_block: Instant::now(), _session: session })
     }
 
@@ -159,6 +159,9 @@ impl<'a> AcquisitionWatch<'a> {
 
 /// What a request wants, and the answer to it. Whoever passed it on has seen that it can be asked for now.
 fn hear_request(asked: Asked) -> Heard {
+    if !asked.is_waited_for() {
+        return Heard::Nothing;
+    }
     let (heard, answer) = match &asked.request {
         Request::Calibration(CalibrationRequest::GoOn) => (Heard::GoOn, Answer::done("it goes on")),
         Request::Calibration(CalibrationRequest::Redo) => (Heard::Redo, Answer::done("once more")),

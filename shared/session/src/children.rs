@@ -218,7 +218,7 @@ pub fn check_source_program(config: &Config) -> Result<(), ChildrenError> {
 impl Children {
     /// Starts `stages`, which lie beside this program, on this configuration; as acquisition the program of its source, or
     /// the one that it names. What they say comes as `events`, what they write to standard error goes to
-    /// `standard_error`.
+    /// `standard_error`. In a session that `follows_on_session` the robot leaves the arm where it is until it is armed.
     ///
     /// # Errors
     ///
@@ -228,6 +228,7 @@ impl Children {
         config: &Config,
         events: &Sender<Event>,
         robot: &RobotLine,
+        follows_on_session: bool,
         standard_error: &Writer,
     ) -> Result<Children, ChildrenError> {
         check_source_program(config)?;
@@ -244,7 +245,8 @@ impl Children {
             running: Vec::new(),
         };
         for &stage in stages {
-            children.start_stage(stage, false)?;
+            let is_robot_of_next = follows_on_session && stage == Stage::Robot;
+            children.start_stage(stage, is_robot_of_next.then_some("--follows-on-session"))?;
         }
         Ok(children)
     }
@@ -255,10 +257,10 @@ impl Children {
     ///
     /// [`ChildrenError`] when it cannot be started.
     pub fn restart(&mut self, stage: Stage) -> Result<(), ChildrenError> {
-        self.start_stage(stage, true)
+        self.start_stage(stage, Some("--restarted"))
     }
 
-    fn start_stage(&mut self, stage: Stage, is_restarted: bool) -> Result<(), ChildrenError> {
+    fn start_stage(&mut self, stage: Stage, argument: Option<&str>) -> Result<(), ChildrenError> {
         let program = match stage {
             Stage::Acquisition => self.acquisition.clone(),
             _ => self.folder.join(format!("tendon-{}", stage.name())),
@@ -266,7 +268,7 @@ impl Children {
         let mut process = Command::new(&program)
             .arg("--config")
             .arg(self.config.path())
-            .args(is_restarted.then_some("--restarted"))
+            .args(argument)
             .env_remove(PAGE_VARIABLE)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

@@ -23,6 +23,7 @@ use signal_hook::iterator::Signals;
 use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Stage;
 use tendon_process::Order;
+use tendon_transport::now_ns;
 
 use crate::children::Event;
 use crate::robot_line::RobotLine;
@@ -169,7 +170,7 @@ fn hear(robot: &RobotLine, events: &Sender<Event>, keys: &Keys) {
                 true
             }
             Key::Arm => {
-                robot.order(Order::Arm);
+                robot.order(Order::Arm { seen_ns: now_ns() });
                 true
             }
             Key::Quit => quit(robot, events),

@@ -180,8 +180,8 @@ mod tests {
         line.order(Order::Stop);
         assert_eq!(lines.find(|line| line != "alive").as_deref(), Some("stop"));
         std::thread::sleep(3 * HEARTBEAT);
-        line.order(Order::Arm);
-        assert_eq!(lines.next().as_deref(), Some("arm"), "a heartbeat though the loop hangs");
+        line.order(Order::Arm { seen_ns: 5 });
+        assert_eq!(lines.next().as_deref(), Some("arm 5"), "a heartbeat though the loop hangs");
         line.loop_turned();
         assert_eq!(lines.next().as_deref(), Some("alive"));
         line.end();

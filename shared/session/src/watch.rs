@@ -111,7 +111,8 @@ pub struct Watch<'a> {
 }
 
 impl<'a> Watch<'a> {
-    /// Starts the stages. `robot`, `sender` and `events` are those that keys and signals were given.
+    /// Starts the stages. `robot`, `sender` and `events` are those that keys and signals were given. In a session that
+    /// `follows_on_session` the arm waits for an order to arm before it moves at all.
     ///
     /// # Errors
     ///
@@ -121,9 +122,11 @@ impl<'a> Watch<'a> {
         robot: &RobotLine,
         (sender, events): (&Sender<Event>, Receiver<Event>),
         observer: Observer,
+        follows_on_session: bool,
         standard_error: &Writer,
     ) -> Result<Watch<'a>, ChildrenError> {
-        let children = Children::start(&Stage::ALL, config, sender, robot, standard_error)?;
+        let children =
+            Children::start(&Stage::ALL, config, sender, robot, follows_on_session, standard_error)?;
         Ok(Watch {
             config,
             events,
@@ -457,9 +460,9 @@ impl<'a> Watch<'a> {
         !measurements.has_finished() && dsp.received + dsp.lost >= published
     }
 
-    /// The next request that has come, for whoever runs the session to answer.
+    /// The next request that has come and whose sender still waits, for whoever runs the session to answer.
     pub fn take_request(&mut self) -> Option<Asked> {
-        self.requests.pop_front()
+        std::iter::from_fn(|| self.requests.pop_front()).find(Asked::is_waited_for)
     }
 
     /// Looks once a second whether the files are there through which the stages reach each other.

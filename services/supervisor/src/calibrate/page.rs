@@ -38,7 +38,7 @@ impl CalibrationPage {
             return Ok(None);
         }
         let received = Handover::received().map_err(Failure::input)?;
-        let before = received.as_ref().map(|handover| &handover.page);
+        let before = received.as_ref().and_then(|handover| handover.page.as_ref());
         let mut page = Page::start(&options.page, config, before, errors).map_err(Failure::running)?;
         let run = received.map_or_else(|| session_with_the_same_settings(options), |handover| handover.run);
         let is_there = page.wait_until_there();
@@ -65,7 +65,7 @@ impl CalibrationPage {
         };
         let command_line = page.hold(events, errors, after)?;
         let session = config.session.clone();
-        let handover = page.keys().map(|keys| Handover { page: keys.clone(), run: run.clone(), session });
+        let handover = Handover { page: page.keys().cloned(), run: run.clone(), session };
         Some(Following { command_line, handover })
     }
 }

@@ -56,18 +56,18 @@ impl Controller {
         }
         self.latch.break_row();
         if let Phase::EnablingJoints | Phase::GoingToStart(_) | Phase::EnablingFlange = self.phase {
-            self.stop(Stop::because(StopReason::RobotStalled));
+            self.stop(Stop::because(StopReason::RobotStalled), now_ns);
         } else if !self.arm.is_still() {
             self.arm.stalled();
             self.latch.interrupt(StopReason::RobotStalled);
         }
     }
 
-    pub(super) fn look_at_link(&mut self, report: &ArmReport) {
+    pub(super) fn look_at_link(&mut self, report: &ArmReport, now_ns: u64) {
         if let Some(stop) = report.stop {
-            self.stop(stop);
+            self.stop(stop, now_ns);
         } else if report.link == Link::Connecting {
-            self.stop(Stop::because(StopReason::ConnectionBroke));
+            self.stop(Stop::because(StopReason::ConnectionBroke), now_ns);
         }
     }
 
@@ -79,21 +79,21 @@ impl Controller {
         let is_by_itself = self.phase != Phase::Following;
         if self.is_supervisor_silent(now_ns) {
             if is_by_itself {
-                return self.stop(Stop::because(StopReason::SupervisorSilent));
+                return self.stop(Stop::because(StopReason::SupervisorSilent), now_ns);
             }
             self.interrupt(StopReason::SupervisorSilent);
         }
         // Where the arm follows commands, its own watchdog brings it to rest.
         if matches!(self.phase, Phase::GoingToStart(_)) && self.are_commands_missing(now_ns) {
-            return self.stop(Stop::because(StopReason::NoCommands));
+            return self.stop(Stop::because(StopReason::NoCommands), now_ns);
         }
         let is_moving_phase = matches!(self.phase, Phase::GoingToStart(_) | Phase::Following);
         if is_moving_phase && report.silent_ns > CONNECTION_SILENCE_NS {
-            return self.stop(Stop::because(StopReason::ConnectionBroke));
+            return self.stop(Stop::because(StopReason::ConnectionBroke), now_ns);
         }
         if is_moving_phase && report.silent_ns > ARM_SILENCE_NS {
             if is_by_itself {
-                return self.stop(Stop::because(StopReason::ArmSilent));
+                return self.stop(Stop::because(StopReason::ArmSilent), now_ns);
             }
             self.interrupt(StopReason::ArmSilent);
         }
@@ -103,7 +103,7 @@ impl Controller {
             if let Err(violation) = self.guard.check(now_ns, reported_ns, &joints_rad, &told) {
                 self.violation = Some(violation);
                 self.is_violation_told = false;
-                return self.stop(Stop::because(reason_of(violation)));
+                return self.stop(Stop::because(reason_of(violation)), now_ns);
             }
         }
         // It stays so until the next command that the arm is given: a reason once, and not again and again.

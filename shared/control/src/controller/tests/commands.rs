@@ -99,7 +99,7 @@ fn a_stop_stops_the_gripper_and_a_grip_while_stopped_leaves_nothing_at_odds() {
     rig.hold(Gesture::GRIP, &STILL, 1);
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, Some(-10.0));
     rig.arm.0.borrow_mut().report.gripper_pulses = Some(300.0);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     assert_eq!(rig.arm.0.borrow().gripper_target_pulses, None);
     // A grip meanwhile.
     rig.assert_stopped(StopReason::Ordered);

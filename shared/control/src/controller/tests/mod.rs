@@ -1,6 +1,7 @@
 //! Every way to stop the arm, in every phase, on an arm and a clock that are not there.
 
 mod commands;
+mod outdated;
 mod start;
 mod stops;
 mod watch;
@@ -24,6 +25,7 @@ fn settings() -> ControlSettings {
         arm: ArmSettings::default(),
         has_gripper: true,
         start_speed_rad_per_s: 10.0_f64.to_radians(),
+        waits_at_start: false,
         needs_calibration: false,
         increment_samples: 150,
         rest_windows: REST_WINDOWS,
@@ -47,7 +49,7 @@ struct Rig {
 impl Rig {
     fn new(settings: ControlSettings, joints_rad: JointVector, stopped: Option<StopReason>) -> Rig {
         let arm = FakeArm::at(&settings.arm, joints_rad);
-        let controller = Controller::new(Box::new(arm.clone()), settings, stopped);
+        let controller = Controller::new(Box::new(arm.clone()), settings, stopped, 0);
         Rig {
             controller,
             arm,
@@ -173,9 +175,18 @@ impl Rig {
         assert_eq!(self.reason(), Some(reason));
     }
 
+    /// An order to arm of somebody who saw the arm at this time, as the robot process takes it.
+    fn order_arm(&mut self, seen_ns: u64) -> Option<Outdated> {
+        let outdated = self.controller.is_outdated(seen_ns, self.now_ns);
+        if outdated.is_none() {
+            self.controller.order_arm(self.now_ns);
+        }
+        outdated
+    }
+
     /// `tendon arm`, and what it is answered.
     fn arm(&mut self) -> ArmAnswer {
-        self.controller.order_arm(self.now_ns);
+        assert_eq!(self.order_arm(self.now_ns), None);
         for _ in 0..4000 {
             if let Some(answer) = self.controller.take_answer() {
                 return answer;
@@ -202,8 +213,8 @@ impl Rig {
 type Cause = (StopReason, fn(&mut Rig));
 
 const CAUSES: [Cause; 9] = [
-    (StopReason::Ordered, |rig| _ = rig.controller.order_stop()),
-    (StopReason::StageEnded, |rig| rig.controller.stage_ended()),
+    (StopReason::Ordered, |rig| _ = rig.controller.order_stop(rig.now_ns)),
+    (StopReason::StageEnded, |rig| rig.controller.stage_ended(rig.now_ns)),
     (StopReason::ArmFault, |rig| rig.arm.0.borrow_mut().halt(Stop::by_fault(31))),
     (StopReason::NotReady, |rig| rig.arm.0.borrow_mut().halt(Stop::because(StopReason::NotReady))),
     (StopReason::TakenOver, |rig| rig.arm.0.borrow_mut().halt(Stop::because(StopReason::TakenOver))),

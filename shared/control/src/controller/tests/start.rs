@@ -140,14 +140,14 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
     rig.pass(100);
     rig.arm();
     rig.pass(600);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.assert_stopped(StopReason::Ordered);
     rig.assert_arms();
 
     // Nor after a stop, or an error, while it waited: more than the distance is in question then.
     let mut rig = turned(30.0);
     rig.pass(100);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.assert_stopped(StopReason::Ordered);
     rig.assert_arms();
     let mut rig = turned(30.0);
@@ -160,6 +160,47 @@ fn a_start_position_that_is_far_away_asks_first_and_says_how_far() {
     rig.pass(100);
     rig.assert_stopped(StopReason::WayLeavesBox);
     rig.assert_arms();
+}
+
+#[test]
+fn in_a_session_that_follows_on_another_the_arm_waits_before_it_goes_to_its_start_position() {
+    let settings = ControlSettings { waits_at_start: true, ..settings() };
+    let mut near_rad = settings.arm.start_joints_rad();
+    near_rad[0] += 0.18;
+    let mut rig = Rig::new(settings.clone(), near_rad, None);
+    rig.pass(100);
+    assert!(rig.controller.is_ready());
+    rig.assert_stopped(StopReason::NextSession);
+    rig.rest(1);
+    assert_eq!(rig.arm(), ArmAnswer::GoingToStart);
+    for _ in 0..130 {
+        if rig.phase() != ArmPhase::Following {
+            rig.rest(1);
+        }
+    }
+    assert_eq!((rig.phase(), rig.permission()), (ArmPhase::Following, Permission::AwaitRest));
+    // One that a stop has reached meanwhile is not sent there, nor one that was not left in good order.
+    let mut rig = Rig::new(settings.clone(), near_rad, None);
+    rig.pass(100);
+    rig.controller.order_stop(rig.now_ns);
+    rig.assert_stopped(StopReason::Ordered);
+    rig.assert_arms();
+    let mut rig = Rig::new(settings.clone(), near_rad, None);
+    rig.supervisor_lives = false;
+    rig.pass(8);
+    rig.controller.hear_supervisor(rig.now_ns);
+    rig.controller.depart(Departure::NoRecord, rig.now_ns);
+    rig.supervisor_lives = true;
+    rig.assert_stopped(StopReason::NotLeftInGoodOrder);
+    rig.assert_arms();
+    // One that is there already, and one that is always up, as the simulated arm.
+    for link in [Link::Connected, Link::Up(Drive::Flange)] {
+        let mut rig = Rig::new(settings.clone(), settings.arm.start_joints_rad(), None);
+        rig.arm.0.borrow_mut().report.link = link;
+        rig.pass(100);
+        rig.assert_stopped(StopReason::NextSession);
+        rig.assert_arms();
+    }
 }
 
 #[test]
@@ -183,7 +224,7 @@ fn a_stop_while_connecting_and_a_restart_leave_the_arm_where_it_is() {
     let mut rig = Rig::near();
     rig.arm.0.borrow_mut().report.link = Link::Connecting;
     rig.pass(500);
-    assert_eq!(rig.controller.order_stop(), StopAnswer::NotConnected);
+    assert_eq!(rig.controller.order_stop(rig.now_ns), StopAnswer::NotConnected);
     assert_eq!(rig.arm(), ArmAnswer::NotConnected(StopReason::NeverConnected));
     rig.arm.0.borrow_mut().report.link = Link::Connected;
     rig.assert_stopped(StopReason::Ordered);
@@ -221,7 +262,7 @@ fn tendon_arm_is_answered_with_what_is_so() {
     assert_eq!(rig.arm(), ArmAnswer::AlreadyArmed);
     rig.pass(1000);
     assert_eq!(rig.arm(), ArmAnswer::AwaitsRest);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     // The emergency stop is pressed.
     rig.arm.0.borrow_mut().refuses = Some(Stop::because(StopReason::NotReady));
     assert_eq!(rig.arm(), ArmAnswer::Failed(Stop::because(StopReason::NotReady)));
@@ -231,18 +272,18 @@ fn tendon_arm_is_answered_with_what_is_so() {
     rig.controller.order_arm(rig.now_ns);
     rig.pass(20);
     assert_eq!(rig.permission(), Permission::Stopped, "not before it is up");
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     assert_eq!(rig.controller.take_answer(), Some(ArmAnswer::Failed(Stop::because(StopReason::Ordered))));
     rig.pass(300);
     assert_eq!(rig.permission(), Permission::Stopped);
     assert_eq!(rig.arm(), ArmAnswer::Armed);
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.arm.0.borrow_mut().report.link = Link::Connecting;
     assert_eq!(rig.arm(), ArmAnswer::NotConnected(StopReason::ConnectionBroke));
     let mut rig = Rig::on_the_way();
     assert_eq!(rig.arm(), ArmAnswer::GoingToStart);
     // One that never comes up.
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.controller.order_arm(rig.now_ns);
     rig.arm.0.borrow_mut().report.link = Link::BringingUp;
     for _ in 0..3000 {
@@ -256,7 +297,7 @@ fn tendon_arm_is_answered_with_what_is_so() {
 #[test]
 fn an_error_is_cleared_only_once_it_was_shown() {
     let mut rig = Rig::moving();
-    rig.controller.order_stop();
+    rig.controller.order_stop(rig.now_ns);
     rig.pass(300);
     rig.arm.0.borrow_mut().report.error_code = Some(31);
     rig.controller.order_arm(rig.now_ns);

@@ -48,11 +48,11 @@ fn whatever_stops_the_arm_while_it_is_brought_up_stops_it_until_it_is_armed() {
 #[test]
 fn a_stop_that_the_arm_cannot_hear_is_not_confirmed() {
     let mut rig = Rig::moving();
-    assert_eq!(rig.controller.order_stop(), StopAnswer::Stopped);
+    assert_eq!(rig.controller.order_stop(rig.now_ns), StopAnswer::Stopped);
     rig.arm.0.borrow_mut().report.silent_ns = 301 * MS;
-    assert_eq!(rig.controller.order_stop(), StopAnswer::ArmSilent);
+    assert_eq!(rig.controller.order_stop(rig.now_ns), StopAnswer::ArmSilent);
     rig.arm.0.borrow_mut().report.link = Link::Connecting;
-    assert_eq!(rig.controller.order_stop(), StopAnswer::NotConnected);
+    assert_eq!(rig.controller.order_stop(rig.now_ns), StopAnswer::NotConnected);
     for answer in [StopAnswer::ArmSilent, StopAnswer::NotConnected] {
         assert!(
             answer.text().starts_with("not confirmed") && answer.text().contains("emergency stop button")
@@ -64,7 +64,7 @@ fn a_stop_that_the_arm_cannot_hear_is_not_confirmed() {
 fn while_stopped_the_first_reason_stays_but_for_an_error_of_the_arm_and_nothing_moves() {
     for (reason, cause) in CAUSES {
         let mut rig = Rig::moving();
-        rig.controller.order_stop();
+        rig.controller.order_stop(rig.now_ns);
         rig.pass(300);
         cause(&mut rig);
         rig.pass(100);
