@@ -46,7 +46,7 @@ REPORT = {
     "channels": [{"name": f"EMG {number}", "snr_db": 24.0 - 2 * number, "remark": "hum" if number == 3 else None}
                  for number in range(8)],
     "findings": [{"kind": "alike", "first": "ulnar", "second": "radial", "percent": 12.4,
-                  "text": "ulnar and radial look alike in 12 % of the time: repeat them further apart"}],
+                  "text": "ulnar and radial look alike 12 % of the time: repeat them further apart"}],
     "confusion": {"gestures": GESTURES, "counts": [[40 if row == column else 5 if (row, column) == (3, 4) else 0
                                                     for column in range(6)] for row in range(6)]},
     "check": {"before": 0.71, "after": 0.99}, "file": "/home/anna/people/anna/person.toml",
@@ -126,7 +126,7 @@ class Session:
         return {
             "now_ns": now_ns, "captured_ns": now_ns, "elapsed_s": (now_ns - self._started_ns) / 1e9,
             "position_mm": START_MM, "orientation_rad": [math.pi, 0, 0], "joints_rad": JOINTS_RAD,
-            "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
+            "arm_is_silent": False, "moves": self.gesture != "rest", "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
             "phase": "following", "gesture": self.gesture, "voted": self.gesture, "confidence": 0.93, "unsure": False,
             "novelty": 0.2, "probabilities": [0.93 if gesture == self.gesture else 0.014 for gesture in GESTURES],
             "efforts": [0.5] * len(GESTURES), "mode": 0, "calibration_left_ms": 0, "zone": None, "recording": (self.desk or {}).get("recording"),
@@ -139,7 +139,8 @@ class Session:
         may_all = {"record": True, "gestures": True, "mode": True, "next": True}
         people = {} if self.rights == "watch" else {"people": ["anna", "bert"]}
         calibration = CUE if self.kind == "calibration" else None
-        return {"can": may_all, "kind": self.kind, "recording": None, "person": None, "strategy": "threshold",
+        return {"can": may_all, "kind": self.kind, "recording": None, "recording_failure": None,
+                "model": "/models/cnn-five-gesture.onnx, /models/rest-move.onnx", "person": None, "strategy": "threshold",
                 "strategies": ["threshold", "two_stage", "direct", "personal"], "task": None,
                 "calibration": calibration} | people | self.desk
 

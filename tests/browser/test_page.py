@@ -112,7 +112,11 @@ class InBrowser(PageCase):
         self.assertNotIn("stopped", page.text("#standing-title"))
         page.wait_for(f"{OUTCOME}.includes('has not confirmed')")
         self.screenshot(page, "not-confirmed")
-        self.session.obeys = True
+        # It was obeyed after all.
+        self.session.state = {"permission": "stopped", "stop_reason": "ordered"}
+        page.wait_for(f"{STOP} === 'STOPPED' && {OUTCOME} === 'The arm has stopped.'")
+        self.session.obeys, self.session.state = True, {}
+        page.wait_for(f"{STOP} === 'STOP'")
         page.click("#stop")
         page.wait_for(f"{STOP} === 'STOPPED' && {TITLE} === 'The arm is stopped'")
         self.assertEqual(self.session.orders, ["stop", "stop"])
@@ -184,13 +188,25 @@ class InBrowser(PageCase):
             ({"permission": "stopped", "phase": "going-to-start"}, "The arm moves to its start position"),
             ({"permission": "stopped", "phase": "waiting", "stop_reason": "moved-since"}, "The arm waits"),
             ({"hindrance": "at the workspace limit +z"}, "Held up · rest"),
-            ({"unsure": True, "troubles": [{"channel": 2, "kind": "flat"}]}, "Unsure: the arm holds still"),
+            ({"voted": "grip", "moves": False}, "grip: gripper"),
+            ({"voted": "extension", "moves": False}, "extension: the arm holds still"),
+            ({"permission": "stopped", "arm_is_silent": True}, "The arm does not report"),
+            ({"permission": "await-rest", "troubles": [{"channel": 1, "kind": "hum"}]}, "Relax to begin"),
+            ({"unsure": True, "troubles": [{"channel": channel, "kind": "flat"} for channel in (2, 3, 5, 7)]},
+             "Unsure: the arm holds still"),
         ]
+        details = {}
         for number, (state, title) in enumerate(cases):
             self.session.state = state
             page.wait_for(f"{TITLE} === {json.dumps(title)}")
+            details[title] = page.text("#standing-detail")
             self.screenshot(page, f"why-{number}")
+            if state.get("arm_is_silent"):
+                self.assertEqual(page.value(STOP), "STOP")
         page.wait_for("document.querySelector('#electrodes').textContent.startsWith('Channel 2 is flat')")
+        self.assertTrue(details["Relax to begin"].startswith("Channel 1 shows only mains hum. "), details)
+        self.assertEqual(details["Unsure: the arm holds still"],
+                         "Channel 2 is flat · Channel 3 is flat · Channel 5 is flat · 1 more channel. Check electrodes and cables.")
 
     def test_a_recording_is_on_when_the_desk_says_so(self):
         self.session.obeys = False
@@ -206,6 +222,15 @@ class InBrowser(PageCase):
         page.click("#record")
         page.wait_for(f"{ANSWERED} === 'End of the recording: not done. the disk is full' && {name} === '■ Stop recording'")
         self.assertEqual(self.session.requests, [{"record": True}, {"record": False}])
+        self.session.answer = {"ok": True, "text": "done"}
+        self.session.desk = {"recording": None, "recording_failure": "no space left"}
+        page.wait_for("document.querySelector('#no-recording').textContent.startsWith('Nothing is being recorded: no space left.')"
+                      f" && {name} === '● Record'")
+        self.screenshot(page, "no-recording")
+        page.click("#record")
+        page.wait_for(f"{name} === 'Asked …'")
+        self.session.desk = {"recording_failure": "the recorder ended"}
+        page.wait_for(f"{ANSWERED} === 'Recording: not done. the recorder ended'")
         # Nobody tells how the session stands any more.
         self.session.desk = None
         page.wait_for(f"!({is_shown('#actions')})")
@@ -274,7 +299,7 @@ class InBrowser(PageCase):
         page.wait_for(f"{TITLE} === 'The next one begins'")
         self.session.accepts = True
         self.session.restart()
-        page.wait_for(f"{IS_LIVE} && {ANSWERED} === 'Session with anna: done' && document.querySelector('#next').hidden")
+        page.wait_for(f"{IS_LIVE} && {ANSWERED} === 'Session with anna: begun' && document.querySelector('#next').hidden")
         page.wait_for(is_shown("#next-open"))
         page.click("#next-open")
         page.value("document.querySelector('#calibrate-name').focus()")
@@ -292,7 +317,8 @@ class InBrowser(PageCase):
         page.type("bert")
         page.press_enter()
         page.wait_for(f"{ANSWERED} === 'Calibration of bert: not done. the session has a duration'")
-        calibrate = {"gestures": None, "repetitions": 1, "check": True, "redo": None, "update": True, "replace": False,
+        self.assertFalse(page.value(is_shown("[data-choice=repetitions]")))
+        calibrate = {"gestures": None, "repetitions": None, "check": True, "redo": None, "update": True, "replace": False,
                      "name": "bert"}
         self.assertEqual(self.session.requests, [
             {"next": {"session": {"person": "anna", "strategy": "personal", "task": "zones"}}},
@@ -314,7 +340,7 @@ class InBrowser(PageCase):
         page.click("#next-open")
         page.click(begin)
         self.session.restart()
-        page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest' && {ANSWERED} === 'Next session: done'")
+        page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest' && {ANSWERED} === 'Next session: begun'")
 
     def test_a_calibration_from_its_first_cue_to_its_report(self):
         page = self.open(width=1024, height=768)
@@ -350,6 +376,42 @@ class InBrowser(PageCase):
         page.wait_for(f"{IS_LIVE} && {TITLE} === 'Ready · rest' && document.querySelector('#stop').offsetParent !== null")
         self.assertEqual(self.session.orders, [])
 
+    def test_a_stopped_calibration_says_what_is_kept_and_leads_back(self):
+        self.session.kind = "calibration"
+        self.session.desk = {"calibration": CUE | {"ask": "wait", "may": ["go-on", "stop"]}}
+        page = self.open()
+        page.wait_for(f"{TITLE} === 'Ready? Press Go on'")
+        page.click("#languages [lang=en]")
+        page.press_enter()
+        self.session.desk = {"calibration": CUE | {"phase": "stopped", "ask": "nothing", "may": []}}
+        page.wait_for(f"{TITLE} === 'The calibration was stopped'"
+                      " && document.querySelectorAll('.report-orders button').length === 3")
+        self.assertEqual(page.text("#standing-detail"), "What was recorded is kept. anna stays as calibrated before.")
+        page.click(".report-orders button:last-child")
+        page.wait_for(is_shown("#next"))
+        page.press("Escape", "Escape", 27)
+        page.click(".report-orders button:nth-child(2)")
+        page.wait_for(f"{ANSWERED} === 'Session as before: asked …'")
+        self.assertEqual(self.session.requests, [{"calibration": "go-on"}, {"next": "back"}])
+
+    def test_at_twice_the_size_nothing_covers_what_has_the_focus(self):
+        page = self.open(width=640, height=400)
+        page.wait_for(is_shown("#next-open"))
+        covered, reached = [], ""
+        for _ in range(40):
+            page.press("Tab", "Tab", 9)
+            reached, is_seen = page.value(
+                "(() => { const focused = document.activeElement; const box = focused.getBoundingClientRect();"
+                " const top = document.elementFromPoint(box.x + box.width / 2, Math.max(box.y, 0) + 4);"
+                " return [focused.id || focused.parentElement.id, focused.contains(top)]; })()")
+            if not is_seen:
+                covered.append(reached)
+            if reached == "languages":
+                break
+        self.assertEqual((reached, covered), ("languages", []))
+        self.assertTrue(page.value("(() => { const box = document.querySelector('#stop').getBoundingClientRect();"
+                                   " return box.y >= 0 && box.y < 30; })()"), "STOP stays at the top")
+
     def test_the_way_to_the_zone_is_in_words_and_drawn(self):
         zone = {"center_mm": [386, 40, 342], "width_mm": 30}
         task = {"kind": "zones", "zone": zone, "reached": 3, "trials": 4, "overshoots": 1,
@@ -374,7 +436,7 @@ class InBrowser(PageCase):
             self.assertFalse(page.value(is_shown(part)), part)
         page.type("e")
         self.session.gesture = "grip"
-        page.wait_for(f"{TITLE}.startsWith('Following · grip')")
+        page.wait_for(f"{TITLE}.startsWith('grip: gripper')")
         self.assertEqual(self.session.requests, [])
 
     def test_everything_is_reached_by_keyboard_and_the_focus_stays(self):

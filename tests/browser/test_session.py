@@ -103,7 +103,7 @@ class RealSessions(PageCase):
         page.click("#next-open")
         page.click("[data-choice=task] [data-option=zones]")
         page.click("#next .column:first-child .begins")
-        page.wait_for(f"{ANSWERED} === 'Next session: done' && {IS_LIVE} && {TITLE} === 'The arm waits'", LIMIT_S)
+        page.wait_for(f"{ANSWERED} === 'Next session: begun' && {IS_LIVE} && {TITLE} === 'The arm waits'", LIMIT_S)
         page.click("#arm")
         page.wait_for(f"{TITLE} === 'Ready · rest' && document.querySelector('#task-zone').textContent.startsWith('Zone: ')",
                       LIMIT_S)
@@ -164,7 +164,7 @@ class RealSessions(PageCase):
         page.wait_for("/^\\d+\\u00a0%$/.test(document.querySelector('.accuracy').textContent)")
         self.screenshot(page, "calibration-report")
         page.click(".report-orders .begins")
-        page.wait_for(f"{ANSWERED} === 'Session with anna: done' && {IS_LIVE}", LIMIT_S)
+        page.wait_for(f"{ANSWERED} === 'Session with anna: begun' && {IS_LIVE}", LIMIT_S)
         page.wait_for(f"/^(Ready|Following) · /.test({TITLE})", LIMIT_S)
         self.assertIn("anna", page.text("#session-facts"))
 

@@ -1,7 +1,7 @@
 //! The server: files, and one WebSocket a viewer.
 //!
 //! ```text
-//! GET /ws ─▶ Access ─▶ seat free? ─▶ upgrade ─┬─ writing: hello, then every update, answers; 5 s for each at most
+//! GET /ws ─▶ Access ─▶ seat free? ─▶ upgrade ─┬─ writing: hello, desk, then every update, answers; 5 s for each at most
 //!                         503                 └─ reading: ping, orders, requests; whatever is too long, too often or no message
 //!                                                of the page, and silence of a minute, end the connection
 //! ```
@@ -20,8 +20,8 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use futures_util::stream::{SplitSink, SplitStream};
-use futures_util::{SinkExt, StreamExt};
+use futures_util::stream::SplitStream;
+use futures_util::{Sink, SinkExt, StreamExt};
 use serde::Deserialize;
 use serde_json::json;
 use tendon_process::Answer;
@@ -40,6 +40,8 @@ use crate::watching::Audience;
 
 /// Viewers at a time.
 const SEATS: usize = 8;
+/// Seats among them that nobody takes who may only watch: whoever may stop the arm finds one.
+const KEPT_FOR_ORDERS: usize = 2;
 /// Longest message of a viewer, bytes.
 const LONGEST_MESSAGE: usize = 4096;
 /// Most messages of a viewer in a second.
@@ -80,6 +82,7 @@ pub struct Page {
     /// The way to the supervisor and the recorder.
     pub requests: Requests,
     seats: Arc<Semaphore>,
+    seats_for_orders: Arc<Semaphore>,
 }
 
 impl Page {
@@ -91,7 +94,16 @@ impl Page {
         orders: Orders,
         requests: Requests,
     ) -> Page {
-        Page { access, files, audience, orders, requests, seats: Arc::new(Semaphore::new(SEATS)) }
+        let seats = Arc::new(Semaphore::new(SEATS - KEPT_FOR_ORDERS));
+        let seats_for_orders = Arc::new(Semaphore::new(KEPT_FOR_ORDERS));
+        Page { access, files, audience, orders, requests, seats, seats_for_orders }
+    }
+
+    /// A seat for somebody with these rights, if there is one.
+    fn seat(&self, rights: Rights) -> Option<OwnedSemaphorePermit> {
+        let free = |seats: &Arc<Semaphore>| seats.clone().try_acquire_owned().ok();
+        let kept = (rights == Rights::Orders).then(|| free(&self.seats_for_orders)).flatten();
+        kept.or_else(|| free(&self.seats))
     }
 }
 
@@ -152,7 +164,7 @@ async fn enter(
         Ok(rights) => rights,
         Err(refusal) => return (refusal.status(), refusal.to_string()).into_response(),
     };
-    let Ok(seat) = page.seats.clone().try_acquire_owned() else {
+    let Some(seat) = page.seat(rights) else {
         let words = format!("{SEATS} browsers look at this session already: close one");
         return (StatusCode::SERVICE_UNAVAILABLE, words).into_response();
     };
@@ -178,7 +190,7 @@ async fn attend(socket: WebSocket, page: Arc<Page>, rights: Rights, _seat: Owned
 
 /// Tells a viewer everything, until it takes nothing more.
 async fn tell(
-    mut output: SplitSink<WebSocket, Message>,
+    mut output: impl Sink<Message> + Unpin,
     page: &Page,
     rights: Rights,
     mut answered: Receiver<Reply>,
@@ -186,7 +198,6 @@ async fn tell(
     let mut hello = page.audience.hello.subscribe();
     hello.mark_changed();
     let mut desk = page.audience.desk.subscribe();
-    desk.mark_changed();
     let mut updates = page.audience.updates.subscribe();
     let mut pings = tokio::time::interval(PING);
     loop {
@@ -195,13 +206,15 @@ async fn tell(
             _ = pings.tick() => [Message::Ping(Bytes::new())].into(),
             Some(reply) = answered.recv() => [Message::Text(reply.text().into())].into(),
             Ok(()) = hello.changed() => {
-                let Some(mut facts) = hello.borrow_and_update().clone() else { continue };
-                facts["rights"] = rights.name().into();
-                // A page begins anew with every hello.
-                desk.mark_changed();
-                [Message::Text(json!({ "hello": facts }).to_string().into())].into()
+                let mut facts = hello.borrow_and_update().clone();
+                facts.iter_mut().for_each(|facts| facts["rights"] = rights.name().into());
+                let hello = Message::Text(json!({ "hello": facts }).to_string().into());
+                // With a hello the page forgets all that it knew.
+                [hello, Message::Text(desk.borrow_and_update().message(rights))].into()
             }
-            Ok(()) = desk.changed() => [Message::Text(desk.borrow_and_update().message(rights))].into(),
+            Ok(()) = desk.changed() => {
+                [Message::Text(desk.borrow_and_update().message(rights))].into()
+            }
             update = updates.recv() => match update {
                 Ok(update) => update,
                 // It is slow: it goes on with what is new.
@@ -332,6 +345,8 @@ impl Pace {
 mod tests {
     use super::*;
     use axum::http::HeaderValue;
+    use tendon_transport::SessionName;
+    use tokio::sync::mpsc::unbounded_channel;
 
     #[test]
     fn the_headers_of_safety_are_headers() {
@@ -339,6 +354,41 @@ mod tests {
             assert_eq!(HeaderName::from_static(name).as_str(), name);
             assert!(value.parse::<HeaderValue>().is_ok(), "{value}");
         }
+    }
+
+    #[test]
+    fn a_viewer_that_comes_early_is_told_the_desk_with_every_hello() {
+        let audience = Arc::new(Audience::new());
+        let name: SessionName = "early".parse().unwrap();
+        let access = Access::new(SocketAddr::from(([127, 0, 0, 1], 1)), false).unwrap();
+        let (orders, requests) = (Orders::new(name.clone()), Requests::new(name));
+        let page = Page::new(access, Files::new().unwrap(), audience.clone(), orders, requests);
+        audience.desk.send_modify(|desk| desk.facts = json!({"person": "anna"}));
+        let (said, mut heard) = unbounded_channel();
+        let output = futures_util::sink::unfold(said, |said, message: Message| async move {
+            said.send(message).map(|()| said)
+        });
+        let (_replies, answered) = channel(1);
+        let checking = async {
+            let mut next_text = async || loop {
+                if let Some(Message::Text(text)) = heard.recv().await {
+                    return text.to_string();
+                }
+            };
+            assert_eq!(next_text().await, r#"{"hello":null}"#);
+            assert_eq!(next_text().await, r#"{"desk":{"person":"anna"}}"#);
+            for _ in 0..2 {
+                audience.hello.send_replace(Some(json!({})));
+                assert_eq!(next_text().await, r#"{"hello":{"rights":"orders"}}"#);
+                assert_eq!(next_text().await, r#"{"desk":{"person":"anna"}}"#);
+            }
+        };
+        tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap().block_on(async {
+            tokio::select! {
+                () = tell(Box::pin(output), &page, Rights::Orders, answered) => panic!("it went"),
+                () = checking => {}
+            }
+        });
     }
 
     #[test]

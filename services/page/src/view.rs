@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use tendon_config::{Config, Source};
 use tendon_gesture::{Action, Mode};
 use tendon_messages::{
-    ArmPhase, BlockHeader, CommandHeader, Hindrance, Measurement, MeasurementHeader, Permission, Stage,
-    StateHeader, StopReason,
+    ArmPhase, BlockHeader, CommandHeader, Hindrance, Measurement, MeasurementHeader, Permission,
+    PredictionHeader, Stage, StateHeader, StopReason, Trace,
 };
 use tendon_report::{LatencySummary, SessionMeasurements};
 
@@ -25,12 +25,17 @@ const PAPER_MEAN_MS: u32 = 324;
 const FIRST_EDGE_NS: u64 = 1000;
 const EDGE_RATIO: f64 = 1.25;
 
+/// Older than this, the newest message of robot or decision shows that it hangs: the one publishes every 20 ms at least, and without
+/// the other's commands the robot stops after 150 ms.
+const SILENT_NS: u64 = 250_000_000;
+
 /// The kind of what has an arm.
 const SESSION: &str = "session";
 
 /// What a state says of the arm, besides whether it may move.
 const ARM_KEYS: [&str; 14] = [
     "seen_ns",
+    "arm_is_silent",
     "position_mm",
     "orientation_rad",
     "joints_rad",
@@ -55,7 +60,8 @@ pub struct View {
     probabilities: Vec<f32>,
     efforts: Vec<f32>,
     novelty: f32,
-    command: Option<CommandHeader>,
+    /// The newest command, and whether it moves the arm.
+    command: Option<(CommandHeader, bool)>,
     state: Option<(StateHeader, Vec<f32>)>,
     measurements: SessionMeasurements,
     /// Process of each stage, and how often it was another one.
@@ -88,15 +94,15 @@ impl View {
     }
 
     /// A prediction has come.
-    pub fn prediction(&mut self, novelty: f32, payload: &[f32]) {
+    pub fn prediction(&mut self, header: &PredictionHeader, payload: &[f32]) {
         let (probabilities, efforts) = payload.split_at(payload.len() / 2);
         (self.probabilities, self.efforts) = (probabilities.to_vec(), efforts.to_vec());
-        self.novelty = novelty;
+        self.novelty = header.novelty;
     }
 
     /// A command has come.
-    pub fn command(&mut self, header: &CommandHeader) {
-        self.command = Some(*header);
+    pub fn command(&mut self, header: &CommandHeader, twist: &[f32]) {
+        self.command = Some((*header, twist.iter().any(|velocity| *velocity != 0.0)));
     }
 
     /// A state of the arm has come.
@@ -143,7 +149,8 @@ impl View {
     /// The session now, with what the supervisor tells on its `desk`; `None` before the arm has said anything. A calibration has
     /// no arm, nor has what could not begin.
     pub fn now(&self, now_ns: u64, traces: &Traces, desk: &Value) -> Option<Value> {
-        let command = self.command.unwrap_or_default();
+        // What decision said last is nothing that it says now.
+        let command = self.command.filter(|(command, _)| !is_silent(&command.trace, Stage::Decision, now_ns));
         let counts = |stage| self.measurements.counts(stage);
         let troubles = traces.troubles();
         let troubles: Vec<Value> =
@@ -153,7 +160,8 @@ impl View {
             "now_ns": now_ns,
             "captured_ns": traces.captured_ns(),
             "elapsed_s": elapsed_ns as f64 / 1e9,
-            "voted": self.gesture(command.voted),
+            "voted": command.and_then(|(command, _)| self.gesture(command.voted)),
+            "moves": command.is_some_and(|(_, moves)| moves),
             "novelty": self.novelty,
             "probabilities": self.probabilities,
             "efforts": self.efforts,
@@ -166,7 +174,7 @@ impl View {
             "clock_drift_ppm": self.measurements.clock_drift_ppm(),
             "troubles": troubles,
         });
-        let arm = if has_arm(desk) { self.arm()? } else { no_arm() };
+        let arm = if has_arm(desk) { self.arm(now_ns)? } else { no_arm() };
         for (key, value) in arm {
             state[key] = value;
         }
@@ -174,13 +182,14 @@ impl View {
     }
 
     /// What the arm has said last.
-    fn arm(&self) -> Option<Vec<(&'static str, Value)>> {
+    fn arm(&self, now_ns: u64) -> Option<Vec<(&'static str, Value)>> {
         let (header, payload) = self.state.as_ref()?;
         let (joints_rad, position_mm, orientation_rad) =
             (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
         Some(vec![
             // Of which state an order is that the viewer gives next.
             ("seen_ns", json!(header.trace.published_ns[Stage::Robot.index()])),
+            ("arm_is_silent", json!(is_silent(&header.trace, Stage::Robot, now_ns))),
             ("position_mm", json!(position_mm)),
             ("orientation_rad", json!(orientation_rad)),
             ("joints_rad", json!(joints_rad)),
@@ -225,6 +234,11 @@ impl View {
                 summary("newest sample → command", &self.measurements.newest_sample_to_command),
         })
     }
+}
+
+/// Whether a stage whose newest message has this trace hangs.
+fn is_silent(trace: &Trace, stage: Stage, now_ns: u64) -> bool {
+    now_ns.saturating_sub(trace.published_ns[stage.index()]) > SILENT_NS
 }
 
 /// Whether a desk is that of a session, and of no calibration nor of what could not begin.
@@ -318,7 +332,7 @@ mod tests {
         let zone = json!({"center_mm": [1.0, 2.0, 3.0], "width_mm": 20.0});
         let desk = json!({"recording": "/tmp/session.mcap", "task": {"zone": zone}});
         view.state(&header, &payload);
-        view.prediction(0.5, &[0.25, 0.75, 0.5, 1.0]);
+        view.prediction(&PredictionHeader::default(), &[0.25, 0.75, 0.5, 1.0]);
         let state = view.now(5, &traces, &desk).unwrap();
         let expected = json!({
             "seen_ns": 4, "permission": "await-rest", "stop_reason": "no-commands", "phase": "going-to-start",
@@ -337,6 +351,22 @@ mod tests {
         assert_eq!(state["permission"], "stopped");
         view.state(&header, &payload[..5]);
         assert_eq!(view.now(5, &traces, &desk), None);
+    }
+
+    #[test]
+    fn what_the_robot_and_decision_said_last_is_not_shown_as_what_they_say_now() {
+        let config = Config::default();
+        let (mut view, traces) = (View::new(&config), Traces::new(&config).unwrap());
+        let mut trace = Trace::default();
+        trace.published_ns = [7_000_000_000; Stage::ALL.len()];
+        view.state(&StateHeader { trace, ..StateHeader::default() }, &[0.0; 13]);
+        view.command(&CommandHeader { trace, voted: 1, ..CommandHeader::default() }, &[0.0, 0.0, 5.0]);
+        let at = |now_ns| {
+            let state = view.now(now_ns, &traces, &Value::Null).unwrap();
+            (state["arm_is_silent"] == true, state["voted"].clone(), state["moves"] == true)
+        };
+        assert_eq!(at(7_250_000_000), (false, json!("extension"), true));
+        assert_eq!(at(7_250_000_001), (true, Value::Null, false));
     }
 
     #[test]

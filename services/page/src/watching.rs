@@ -38,7 +38,7 @@ pub type Update = Arc<[Message]>;
 /// Where the viewers listen.
 #[derive(Debug)]
 pub struct Audience {
-    /// The session's facts; `None` before there is one.
+    /// The session's facts; `None` while none runs.
     pub hello: watch::Sender<Option<Value>>,
     /// What happens in it.
     pub updates: broadcast::Sender<Update>,
@@ -91,6 +91,7 @@ pub fn watch(watched: &Watched, audience: &Audience, stop: &Arc<AtomicBool>) -> 
                         let config =
                             Config::parse(&text, std::path::Path::new("the session's configuration"))?;
                         watch_session(&config, session, audience, stop)?;
+                        audience.hello.send_replace(None);
                     }
                 }
                 std::thread::sleep(SESSION_LOOK);
@@ -181,10 +182,10 @@ impl Topics {
             traces.take(block.header(), block.payload())?;
         }
         while let Some(prediction) = self.predictions.receive().context("predictions")? {
-            view.prediction(prediction.header().novelty, prediction.payload());
+            view.prediction(prediction.header(), prediction.payload());
         }
         while let Some(command) = self.commands.receive().context("commands")? {
-            view.command(command.header());
+            view.command(command.header(), command.payload());
         }
         while let Some(state) = self.states.receive().context("states")? {
             view.state(state.header(), state.payload());

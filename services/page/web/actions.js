@@ -6,6 +6,8 @@ import { show, text } from "./texts.js";
 
 /** The terminal's letters for the gestures of the paper; every gesture up to the tenth also has its number. */
 const LETTERS = { rest: "n", extension: "e", flexion: "f", ulnar: "u", radial: "r", grip: "g" };
+/** Letters of a note that are said again. */
+const LONGEST_SHOWN = 60;
 const MODE_WITHIN_MS = 2000;
 
 const byId = (id) => document.getElementById(id);
@@ -106,18 +108,21 @@ export class Actions {
 
   toggleRecording() {
     const isOn = this.recording !== null;
+    const before = this.desk.recording_failure;
     this.requests.ask(
       "record",
       { record: !isOn },
       {
         words: text(isOn ? "do.record-off" : "do.record-on"),
         isDone: (desk) => (desk.recording !== null) !== isOn,
+        whyNot: (desk) => (desk.recording_failure === before ? null : desk.recording_failure),
       },
     );
   }
 
   leaveNote(note, done) {
-    this.requests.ask("note", { note }, { words: text("do.note", { note }), done });
+    const words = note.length > LONGEST_SHOWN ? `${note.slice(0, LONGEST_SHOWN)}…` : note;
+    this.requests.ask("note", { note }, { words: text("do.note", { note: words }), done });
   }
 
   /** What this page may do now. */
@@ -182,6 +187,9 @@ export class Actions {
   refreshRecording() {
     const { requests, recording } = this;
     const isOn = recording !== null;
+    const failure = isOn ? null : this.desk?.recording_failure;
+    byId("no-recording").hidden = !failure;
+    show(byId("no-recording"), failure ? text("no-recording", { reason: failure }) : "");
     const button = byId("record");
     button.classList.toggle("is-on", isOn);
     button.classList.toggle("is-asked", requests.isAsked("record"));

@@ -70,7 +70,7 @@ const connection = new Connection({
   desk(newDesk) {
     desk = newDesk;
     requests.look(desk, state);
-    for (const part of [actions, next, calibration, arm, task]) part.showDesk(desk);
+    for (const part of [session, actions, next, calibration, arm, task]) part.showDesk(desk);
     isStateNew = state !== null;
     redraw();
   },
@@ -107,7 +107,7 @@ const requests = new Requests(connection, () => {
 });
 const actions = new Actions(requests);
 const next = new NextPanel(requests);
-const calibration = new Calibration(requests);
+const calibration = new Calibration(requests, () => next.open());
 const afterPaint = new MessageChannel();
 afterPaint.port1.onmessage = () => latency.painted();
 
@@ -116,10 +116,10 @@ function draw() {
   if (isStateNew && hello !== null && connection.why === null) {
     isStateNew = false;
     for (const part of [traces, session]) part.showState(state);
-    if (calibration.isOn) showStanding(calibrationStanding(calibration.calibration));
+    if (calibration.isOn) showStanding(calibrationStanding(calibration.calibration, calibration.people));
     else if (hello.kind === "failed") showFailed();
     else {
-      showStanding(standing(hello, state));
+      showStanding(standing(hello, state, desk));
       for (const part of [recognition, arm, latency, task, actions]) part.showState(state);
     }
   }
@@ -135,7 +135,7 @@ function showFailed() {
 }
 
 function showAway(why) {
-  if (requests.isChanging && (why === "lost" || why === "opening")) why = "changing";
+  if (requests.isChanging && ["lost", "opening", "no-session"].includes(why)) why = "changing";
   showStanding({ tone: "away", title: text(`away.${why}`), detail: text(`away.${why}-detail`) });
 }
 
@@ -169,7 +169,11 @@ for (const [tag, name] of languages()) {
   button.type = "button";
   button.lang = button.dataset.tag = tag;
   button.textContent = name;
-  button.addEventListener("click", () => chooseAgain(tag));
+  button.addEventListener("click", (event) => {
+    chooseAgain(tag);
+    // After a click Enter goes on in a calibration, as before it.
+    if (event.detail > 0) button.blur();
+  });
 }
 chooseAgain(language);
 

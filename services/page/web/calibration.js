@@ -4,7 +4,7 @@
 //   Enter, R, buttons ─▶ request {calibration: go-on | redo | stop}
 //   the report's buttons ─▶ the next session or calibration
 
-import { button, element, beginCalibration, beginSession } from "./next.js";
+import { button, element, beginCalibration, beginSession, goBack } from "./next.js";
 import { drawingOf, gestureName } from "./recognition.js";
 import { number, said, show, text } from "./texts.js";
 
@@ -15,16 +15,20 @@ const GRADES = [
   [0.7, "fair"],
   [0, "poor"],
 ];
+/** Below this, mistakes are common. */
+const RELIABLE = 0.85;
 /** A confusion with more than this share of its row is marked. */
 const MARKED_SHARE = 0.1;
 
 const byId = (id) => document.getElementById(id);
 const percent = (share) => text("percent", { value: number(share === null ? null : 100 * share) });
 const capital = (words) => words.slice(0, 1).toUpperCase() + words.slice(1);
+/** The large line's colour for an expected accuracy. */
+const toneOf = (accuracy) => (accuracy === null || accuracy >= RELIABLE ? "go" : accuracy >= 0.7 ? "wait" : "stop");
 const gradeOf = (accuracy) => GRADES.find(([least]) => accuracy >= least)?.[1] ?? "poor";
 
 /** The large line of a calibration; `calibration` is null until the desk has come. */
-export function calibrationStanding(calibration) {
+export function calibrationStanding(calibration, people) {
   if (calibration === null) return standing("away", "calibration-opening");
   const { name, phase, ask, gesture, trouble, error, report } = calibration;
   const places = {
@@ -34,11 +38,14 @@ export function calibrationStanding(calibration) {
   };
   if (phase === "fitting") return standing("wait", "fitting", places);
   if (phase === "failed") return { tone: "stop", title: text("not-calibrated", places), detail: error ?? "" };
-  if (phase === "stopped") return { tone: "stop", title: text("calibration-stopped", places), detail: error ?? "" };
+  if (phase === "stopped") {
+    const detail = text(`calibration-stopped-${people.includes(name) ? "known" : "detail"}`, places);
+    return { tone: "stop", title: text("calibration-stopped", places), detail };
+  }
   if (phase === "done") {
     const accuracy = report?.expected_accuracy ?? null;
     const detail = accuracy === null ? "" : text(`grade.${gradeOf(accuracy)}`);
-    return { tone: "go", title: text("calibrated", places), detail };
+    return { tone: toneOf(accuracy), title: text("calibrated", places), detail };
   }
   if (trouble) return { tone: "stop", title: text("calibration-trouble"), detail: findingWords(trouble) };
   if (ask === "hold") return standing("go", gesture === "rest" ? "hold-rest" : "hold", places);
@@ -59,8 +66,10 @@ function standing(tone, key, places) {
 }
 
 export class Calibration {
-  constructor(requests) {
+  /** `openNext` opens the panel of all that can come next. */
+  constructor(requests, openNext) {
     this.requests = requests;
+    this.openNext = openNext;
     this.section = byId("calibration");
     this.orders = byId("calibration-orders");
     this.isOn = false;
@@ -72,6 +81,7 @@ export class Calibration {
     this.hello = hello;
     this.isOn = hello.kind === "calibration";
     this.calibration = null;
+    this.people = [];
     this.told = "";
     this.section.hidden = !this.isOn;
     document.body.classList.toggle("is-calibration", this.isOn);
@@ -81,6 +91,7 @@ export class Calibration {
   showDesk(desk) {
     if (!this.isOn) return;
     this.calibration = desk?.calibration ?? null;
+    this.people = desk?.people ?? [];
     this.refresh();
   }
 
@@ -200,8 +211,8 @@ export class Calibration {
     }
     const options = phase === "done" ? { replace: true } : {};
     box.append(button(text("report-again"), () => beginCalibration(this.requests, { name, check: true, ...options })));
-    const session = { person: null, strategy: null, task: null };
-    if (report === null) box.append(button(text("report-back"), () => beginSession(this.requests, session)));
+    if (report === null) box.append(button(text("report-back"), () => goBack(this.requests)));
+    box.append(button(text("report-other"), this.openNext));
     return box;
   }
 
@@ -247,7 +258,8 @@ export class Calibration {
       );
       redo.setAttribute("aria-label", text("report-redo-label", { gesture: gestureName(name) }));
       const mayRedo = this.hello.rights === "orders" && this.calibration.phase === "done";
-      return [heading(gestureName(name)), percent(recall ?? null), mayRedo ? redo : ""];
+      const share = element("td", { words: percent(recall ?? null), className: recall < RELIABLE ? "is-wrong" : "" });
+      return [heading(gestureName(name)), share, mayRedo ? redo : ""];
     });
     return table(text("report-gestures"), [text("gesture"), text("recognised"), ""], rows);
   }

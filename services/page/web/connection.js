@@ -23,6 +23,7 @@ const AWAY = {
   refused: "refused",
   forbidden: "forbidden",
   full: "full",
+  noSession: "no-session",
 };
 
 export class Connection {
@@ -111,6 +112,7 @@ export class Connection {
       this.setAway(null);
       this.handlers.state(message.state);
     } else if (message.hello) this.handlers.hello(message.hello);
+    else if (message.hello === null) this.setAway(AWAY.noSession);
     else if ("desk" in message) this.handlers.desk(message.desk);
     else if (message.latency) this.handlers.latency(message.latency);
     else if (message.answer) this.handlers.answer(message.answer);

@@ -39,6 +39,11 @@ export function beginSession(requests, session) {
   );
 }
 
+/** After a calibration, asks for the session from which it was begun. */
+export function goBack(requests) {
+  requests.ask("next", { next: "back" }, { words: text("do.back"), outlives: true, withinMs: BEGUN_WITHIN_MS });
+}
+
 /** Asks for a calibration; what is not given is as in the terminal. */
 export function beginCalibration(requests, options) {
   const calibrate = {
@@ -50,6 +55,8 @@ export function beginCalibration(requests, options) {
     replace: false,
     ...options,
   };
+  // An update asks for each gesture as often as it needs.
+  if (calibrate.update) calibrate.repetitions = null;
   requests.ask(
     "next",
     { next: { calibrate } },
@@ -146,7 +153,8 @@ export class NextPanel {
       className: "column",
       children: [element("h3", { words: text("next-session") }), person, strategy, task, begin],
     });
-    const note = element("p", { className: "facts", words: text("next-note") });
+    const notes = ["next-note", ...(desk.recording == null ? [] : ["next-note-recording"])];
+    const note = element("p", { className: "facts", words: notes.map((key) => text(key)).join(" ") });
     const columns = element("div", { className: "columns", children: [session, this.calibration()] });
     this.panel.replaceChildren(element("div", { className: "head", children: [heading, close] }), note, columns);
   }
@@ -164,13 +172,16 @@ export class NextPanel {
     field.setAttribute("autocapitalize", "none");
     const label = element("label", { words: text("calibrate-name"), htmlFor: field.id });
     const known = this.choices("calibrate-known", ["update", "replace"], "how", (how) => text(`calibrate.${how}`));
+    const repetitions = this.choices("calibrate-repetitions", REPETITIONS, "repetitions", String);
     const wrong = element("p", { id: "calibrate-wrong", className: "is-wrong", role: "alert" });
     const refresh = () => {
       chosen.name = field.value.trim();
       known.hidden = !(this.desk.people ?? []).includes(chosen.name);
+      repetitions.hidden = !known.hidden && chosen.how === "update";
       wrong.textContent = "";
     };
     field.addEventListener("input", refresh);
+    known.addEventListener("click", refresh);
     refresh();
     const begin = () => {
       if (!PERSON_NAME.test(chosen.name)) {
@@ -192,7 +203,7 @@ export class NextPanel {
         element("div", { className: "field", children: [label, field] }),
         wrong,
         known,
-        this.choices("calibrate-repetitions", REPETITIONS, "repetitions", String),
+        repetitions,
         this.choices("calibrate-check", [true, false], "check", (isOn) => text(isOn ? "yes" : "no")),
         button(text("calibrate-begin"), begin, "begins"),
       ],

@@ -11,6 +11,8 @@ export class Orders {
     this.connection = connection;
     this.next = 1;
     this.asked = new Map();
+    // Whether a stop was said to be unconfirmed.
+    this.isStopUnconfirmed = false;
     this.rights = null;
     this.state = null;
     this.stop = document.getElementById("stop");
@@ -97,7 +99,7 @@ export class Orders {
     setTimeout(() => {
       if (this.asked.get(what) !== asked) return;
       this.asked.delete(what);
-      this.tell(what === "stop" ? "stop-not-confirmed" : "arm-not-confirmed", "bad");
+      this.tellUnconfirmed(what);
       this.refresh();
     }, CONFIRMED_WITHIN_MS);
     this.refresh();
@@ -108,15 +110,22 @@ export class Orders {
     const asked = this.asked.get(order);
     if (ok || asked?.id !== id) return;
     this.asked.delete(order);
+    this.isStopUnconfirmed ||= order === "stop";
     this.tell("order-refused", "bad", { words: said(`said.${key}`, values, words) });
     this.refresh();
   }
 
   showState(state) {
+    const rests = ({ permission, stop_reason: reason }) => permission === "await-rest" && Boolean(reason);
+    if (rests(state) && this.state?.permission === "granted")
+      this.tell("rested", "wait", { reason: text(`reason.${state.stop_reason}`) });
     this.state = state;
-    const isStopped = state.permission === "stopped";
-    if (isStopped && this.asked.delete("stop")) this.tell("stop-confirmed", "good");
-    if (!isStopped && this.asked.delete("arm")) this.tell("arm-confirmed", "good");
+    const isStopped = state.permission === "stopped" && !state.arm_is_silent;
+    if (isStopped && (this.asked.delete("stop") || this.isStopUnconfirmed)) {
+      this.isStopUnconfirmed = false;
+      this.tell("stop-confirmed", "good");
+    }
+    if (state.permission !== "stopped" && !state.arm_is_silent && this.asked.delete("arm")) this.tell("arm-confirmed", "good");
     this.refresh();
   }
 
@@ -125,9 +134,14 @@ export class Orders {
     if (why !== null) this.state = null;
     for (const what of [...this.asked.keys()]) {
       this.asked.delete(what);
-      this.tell(`${what}-not-confirmed`, "bad");
+      this.tellUnconfirmed(what);
     }
     this.refresh();
+  }
+
+  tellUnconfirmed(what) {
+    this.isStopUnconfirmed ||= what === "stop";
+    this.tell(`${what}-not-confirmed`, "bad");
   }
 
   tell(key, tone, places) {
@@ -137,12 +151,14 @@ export class Orders {
   refresh() {
     // While it comes up and goes to its start position the arm moves, or soon will, though it follows no gesture.
     const isUnderWay = ["bringing-up", "going-to-start"].includes(this.state?.phase);
-    const isStopped = this.state?.permission === "stopped" && !isUnderWay;
+    const isStopped = this.state?.permission === "stopped" && !this.state.arm_is_silent && !isUnderWay;
     const stopKey = this.asked.has("stop") ? "stop-button-asked" : isStopped ? "stop-button-stopped" : "stop-button";
     show(this.stop.firstElementChild, text(stopKey));
     show(this.stop.lastElementChild, text(this.stopNote()));
     show(this.arm.firstElementChild, text(this.asked.has("arm") ? "arm-button-asked" : "arm-button"));
     show(this.arm.lastElementChild, text("arm-note"));
+    this.stop.classList.toggle("is-watching", this.rights === "watch");
+    this.arm.classList.toggle("is-asked", this.asked.has("arm"));
     this.stop.classList.toggle("is-away", !this.connection.isOpen);
     this.stop.classList.toggle("is-asked", this.asked.has("stop"));
     this.stop.classList.toggle("is-stopped", isStopped);

@@ -9,9 +9,14 @@ export function gestureName(gesture) {
   return hasText(`gesture.${gesture}`) ? text(`gesture.${gesture}`) : gesture;
 }
 
-/** What a gesture does in the mode that is on: "up", "gripper" …, or null for nothing. */
+/** What a gesture does in the mode that is on: "+z", "gripper" …; undefined for nothing. */
+export function actionOf(hello, state, gesture) {
+  return hello.modes[modeIndex(hello, state)]?.motions[gesture];
+}
+
+/** The same in words, or null for nothing. */
 export function motionOf(hello, state, gesture) {
-  const motion = hello.modes[modeIndex(hello, state)]?.motions[gesture];
+  const motion = actionOf(hello, state, gesture);
   if (!motion || motion === "none" || motion === "nothing") return null;
   return hasText(`motion.${motion}`) ? text(`motion.${motion}`) : motion;
 }
@@ -65,7 +70,9 @@ export class Recognition {
 
   showState(state) {
     const { hello } = this;
-    const voted = state.voted ?? state.gesture;
+    const { voted } = state;
+    // At rest the strategy "threshold" compares no gestures.
+    const isInactive = hello.strategy === "threshold" && voted === "rest" && state.confidence === 1;
     const drawing = state.unsure ? "unsure" : drawingOf(voted);
     const href = `#hand-${drawing}`;
     const use = this.hand.firstElementChild;
@@ -79,13 +86,15 @@ export class Recognition {
         ? ""
         : state.unsure
           ? text("unsure-does", { gesture: gestureName(voted) })
-          : text("decided-does", { motion: motion ?? text("motion.none"), confidence: number(state.confidence, 2) }),
+          : isInactive
+            ? text("decided-inactive")
+            : text("decided-does", { motion: motion ?? text("motion.none"), confidence: number(state.confidence, 2) }),
     );
     const index = modeIndex(hello, state);
     const mode = hello.modes[index];
     show(this.mode, mode ? text("mode-is", { mode: mode.name, place: index + 1, count: hello.modes.length }) : "");
     this.rows.forEach(({ gesture, row, name, filled, share }, place) => {
-      const probability = state.probabilities?.[place];
+      const probability = isInactive ? NaN : state.probabilities?.[place];
       const does = motionOf(hello, state, gesture);
       show(name, does ? text("gesture-does", { gesture: gestureName(gesture), motion: does }) : gestureName(gesture));
       filled.style.transform = `scaleX(${Number.isFinite(probability) ? probability : 0})`;

@@ -26,11 +26,11 @@ export class Requests {
 
   /**
    * Asks for `what`. `kind` names the request among those under way, `words` says what it is. `isDone(desk, state)` tells
-   * whether it can be seen to be done. `outlives`: it is done when the next session or calibration has begun. `isQuiet`: only
+   * whether it can be seen to be done, `whyNot(desk)` why it can be seen not to be. `outlives`: it is done when the next session or calibration has begun. `isQuiet`: only
    * what goes wrong is told. `done` and `failed` are called in the end, one of them.
    */
   ask(kind, what, options) {
-    const { words, isDone = null, outlives = false, isQuiet = false, withinMs = CONFIRMED_WITHIN_MS } = options;
+    const { words, isDone = null, whyNot = null, outlives = false, isQuiet = false, withinMs = CONFIRMED_WITHIN_MS } = options;
     const { done, failed } = options;
     const id = this.nextId;
     this.nextId += 1;
@@ -39,7 +39,7 @@ export class Requests {
       failed?.();
       return;
     }
-    const asked = { id, words, isDone, outlives, isQuiet, done, failed };
+    const asked = { id, words, isDone, whyNot, outlives, isQuiet, done, failed };
     this.asked.set(kind, asked);
     if (!isQuiet) this.outcome.tell(text("request-asked", { what: words }), "wait");
     setTimeout(() => {
@@ -60,7 +60,11 @@ export class Requests {
   /** The desk or the state has changed: is something that was asked for to be seen? */
   look(desk, state) {
     if (desk === null || state === null) return;
-    for (const [kind, asked] of this.asked) if (asked.isDone?.(desk, state)) this.succeed(kind);
+    for (const [kind, asked] of this.asked) {
+      const whyNot = asked.whyNot?.(desk);
+      if (asked.isDone?.(desk, state)) this.succeed(kind);
+      else if (whyNot) this.fail(kind, "request-refused", whyNot);
+    }
   }
 
   /** Whether the session has agreed to make way for the next. */
@@ -83,9 +87,9 @@ export class Requests {
   }
 
   succeed(kind) {
-    const { words, isQuiet, done } = this.asked.get(kind);
+    const { words, isQuiet, outlives, done } = this.asked.get(kind);
     this.asked.delete(kind);
-    if (!isQuiet) this.outcome.tell(text("request-done", { what: words }), "good");
+    if (!isQuiet) this.outcome.tell(text(outlives ? "request-begun" : "request-done", { what: words }), "good");
     done?.();
     this.changed();
   }

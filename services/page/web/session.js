@@ -1,6 +1,6 @@
 // What the session is: its source, person, model, strategy, recording and time.
 
-import { show, text } from "./texts.js";
+import { hasText, show, text } from "./texts.js";
 
 export class SessionFacts {
   constructor() {
@@ -10,7 +10,7 @@ export class SessionFacts {
 
   setUp(hello) {
     this.hello = hello;
-    this.state = null;
+    this.state = this.desk = null;
     this.refresh();
   }
 
@@ -22,12 +22,12 @@ export class SessionFacts {
       hello.kind === "calibration"
         ? {}
         : {
-            person: hello.person ?? text("none"),
-            model: fileName(hello.model) ?? text("none"),
-            strategy: hello.strategy,
+            person: hello.person ?? text("no-person"),
+            model: "",
+            strategy: text(`strategy.${hello.strategy}`),
             recording: "",
           };
-    const fixed = { session: hello.session, source: hello.source, ...ofSession, time: "", version: hello.version };
+    const fixed = { session: hello.session, source: sourceName(hello.source), ...ofSession, time: "", version: hello.version };
     this.values.clear();
     this.list.replaceChildren(
       ...Object.entries(fixed).map(([key, value]) => {
@@ -41,7 +41,18 @@ export class SessionFacts {
         return pair;
       }),
     );
+    this.showDesk(this.desk);
     if (this.state) this.showState(this.state);
+  }
+
+  /** The models that run; a person has none. `desk` is null while nobody tells it. */
+  showDesk(desk) {
+    this.desk = desk;
+    const model = this.values.get("model");
+    if (!model) return;
+    model.title = desk?.model ?? "";
+    const names = model.title.split(", ").filter((path) => path.endsWith(".onnx")).map(fileName);
+    show(model, names.join(", ") || text("none"));
   }
 
   showState(state) {
@@ -52,6 +63,11 @@ export class SessionFacts {
     show(recording, state.recording ? `● ${recordingName(state.recording)}` : text("not-recorded"));
     recording.classList.toggle("is-recording", Boolean(state.recording));
   }
+}
+
+/** The kind of source in words; the name of a program as it is. */
+function sourceName(source) {
+  return hasText(`source.${source}`) ? text(`source.${source}`) : source;
 }
 
 /** The last part of a path. */

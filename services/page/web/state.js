@@ -1,7 +1,8 @@
 // The large line: what the arm does, why it does not, and what to do about it, in words for whoever stands beside it.
 
-import { gestureName, motionOf } from "./recognition.js";
+import { actionOf, gestureName, motionOf } from "./recognition.js";
 import { number, text } from "./texts.js";
+import { troublesInWords } from "./traces.js";
 
 /** How the arm was found at the start: then it was not stopped, and waits for its first "arm". */
 const HOW_FOUND = [
@@ -16,8 +17,13 @@ const HOW_FOUND = [
   "next-session",
 ];
 
-/** Title, detail and tone ("go", "move", "wait", "stop") of a state. */
-export function standing(hello, state) {
+/** Title, detail and tone ("go", "move", "wait", "stop", "away") of a state; `desk` is null while nobody tells it. */
+export function standing(hello, state, desk) {
+  // Whatever else the arm has said last is old.
+  if (state.arm_is_silent && desk === null)
+    return { tone: "away", title: text("away.silent"), detail: text("away.silent-detail") };
+  if (state.arm_is_silent) return line("stop", "arm-silent");
+  const channels = troublesInWords(hello, state);
   const reason = state.stop_reason ? text(`reason.${state.stop_reason}`) : "";
   if (state.permission === "stopped") {
     if (state.phase === "connecting" && !state.stop_reason) return line("wait", "connecting");
@@ -34,7 +40,8 @@ export function standing(hello, state) {
   if (state.permission === "await-rest") {
     const leftMs = state.calibration_left_ms;
     if (leftMs > 0) return line("wait", "measuring-rest", { seconds: number(Math.ceil(leftMs / 1000)) });
-    return { tone: "wait", title: text(reason ? "relax-again" : "relax"), detail: reason || text("relax-detail") };
+    const detail = channels === "" ? text("relax-detail") : text("relax-electrode", { channels });
+    return { tone: "wait", title: text(reason ? "relax-again" : "relax"), detail: reason || detail };
   }
   const gesture = state.voted ?? state.gesture;
   const places = { gesture: gesture == null ? "–" : gestureName(gesture), confidence: number(state.confidence, 2) };
@@ -42,15 +49,14 @@ export function standing(hello, state) {
     return { tone: "wait", title: text("held-up", places), detail: hindranceText(state.hindrance) };
   }
   if (state.unsure) {
-    const electrodeIsOff = (state.troubles ?? []).length > 0;
-    return {
-      tone: "wait",
-      title: text("unsure-title"),
-      detail: text(electrodeIsOff ? "unsure-electrode" : "unsure-detail"),
-    };
+    const detail = channels === "" ? text("unsure-detail") : text("unsure-electrode", { channels });
+    return { tone: "wait", title: text("unsure-title"), detail };
   }
   const motion = gesture == null ? null : motionOf(hello, state, gesture);
   if (motion === null) return { tone: "go", title: text("ready", places), detail: text("ready-detail") };
+  if (["gripper", "next-mode"].includes(actionOf(hello, state, gesture)))
+    return { tone: "go", title: text("does", { ...places, motion }), detail: text("does-detail") };
+  if (!state.moves) return line("wait", "held", places);
   return { tone: "go", title: text("following", { ...places, motion }), detail: text("following-detail") };
 }
 

@@ -9,7 +9,9 @@ import { number, show, text } from "./texts.js";
 const SHOWN_MS = 5000;
 const LABEL_PX = 74;
 const METER_PX = 64;
-const AXIS_PX = 18;
+/** Words below the traces, larger on a large screen, and the height they take. */
+const axisFontPx = () => Math.max(13, Math.min(18, 0.0095 * innerWidth));
+const axisPx = () => axisFontPx() + 5;
 /** A trace is filled from its least to its most value, and at least so thick to both sides: cheaper than a stroke. */
 const HALF_LINE_PX = 0.7;
 /** Rows lower than this show no words. */
@@ -36,6 +38,24 @@ class Scale {
     if (peak > this.top || peak < this.top * 0.3) this.top = peak > 0 ? roundUp(peak) : 0;
     return this.top || 1;
   }
+}
+
+/** The electrodes with problems, the first three by name; "" where there are none. */
+export function troublesInWords(hello, state) {
+  const troubles = state.troubles ?? [];
+  const wrong = troubles.slice(0, 3).map(({ channel, kind }) => {
+    const name = channelName(hello, channel);
+    const spoken = /^\d+$/.test(name) ? text("channel-number", { number: name }) : name;
+    return text("channel-trouble", { channel: spoken, trouble: text(`trouble.${kind}`) });
+  });
+  const more = troubles.length - wrong.length;
+  if (more === 1) wrong.push(text("one-more-channel"));
+  else if (more > 1) wrong.push(text("more-channels", { count: more }));
+  return wrong.join(" · ");
+}
+
+function channelName(hello, channel) {
+  return hello.channels[channel]?.name || String(channel);
 }
 
 export class Traces {
@@ -100,27 +120,9 @@ export class Traces {
         unit: unitName(hello.channels[0]?.unit),
       }),
     );
-    const wrong = [...this.troubles]
-      .slice(0, 3)
-      .map(([channel, kind]) =>
-        text("channel-trouble", { channel: this.spokenName(channel), trouble: text(`trouble.${kind}`) }),
-      );
-    if (this.troubles.size > 3) wrong.push(text("more-channels", { count: this.troubles.size - 3 }));
-    show(
-      this.electrodes,
-      wrong.length === 0 ? text("electrodes-good") : `${wrong.join(" · ")} · ${text("check-electrodes")}`,
-    );
-    this.electrodes.classList.toggle("is-bad", wrong.length > 0);
-  }
-
-  /** "channel 2" where the name is a bare number. */
-  spokenName(channel) {
-    const name = this.name(channel);
-    return /^\d+$/.test(name) ? text("channel-number", { number: name }) : name;
-  }
-
-  name(channel) {
-    return this.hello.channels[channel]?.name || String(channel);
+    const wrong = troublesInWords(hello, state);
+    show(this.electrodes, wrong === "" ? text("electrodes-good") : `${wrong} · ${text("check-electrodes")}`);
+    this.electrodes.classList.toggle("is-bad", wrong !== "");
   }
 
   draw() {
@@ -129,9 +131,9 @@ export class Traces {
     sheet.clear();
     const count = hello.channels.length;
     if (count === 0) return;
-    const rowPx = (sheet.height - AXIS_PX) / count;
+    const rowPx = (sheet.height - axisPx()) / count;
     const plotPx = sheet.width - LABEL_PX - METER_PX;
-    const top = this.amplitude.follow(this.typicalPeak());
+    const top = this.amplitude.follow(this.greatestPeak());
     const envelopeTop = this.envelopeScale.follow(this.greatestEnvelope());
     context.textBaseline = "middle";
     for (let channel = 0; channel < count; channel += 1) {
@@ -143,19 +145,19 @@ export class Traces {
     this.drawAxis(plotPx);
   }
 
-  /** The peak that three quarters of the channels stay below: one loose electrode must not flatten the others. */
-  typicalPeak() {
-    const peaks = this.hello.channels
-      .map((_, channel) => {
-        let peak = 0;
-        for (let at = 2 * channel * this.capacity; at < 2 * (channel + 1) * this.capacity; at += 1) {
-          const size = Math.abs(this.extremes[at]);
-          if (size > peak) peak = size;
-        }
-        return peak;
-      })
-      .sort((a, b) => a - b);
-    return peaks[Math.floor(0.75 * (peaks.length - 1))];
+  /** The greatest peak of the channels whose electrodes are good: one that is loose must not flatten the others. */
+  greatestPeak() {
+    const channels = [...this.hello.channels.keys()];
+    const good = channels.filter((channel) => !this.troubles.has(channel));
+    const peaks = (good.length > 0 ? good : channels).map((channel) => {
+      let peak = 0;
+      for (let at = 2 * channel * this.capacity; at < 2 * (channel + 1) * this.capacity; at += 1) {
+        const size = Math.abs(this.extremes[at]);
+        if (size > peak) peak = size;
+      }
+      return peak;
+    });
+    return Math.max(0, ...peaks);
   }
 
   /** The greatest envelope, and never less than a few times the rest: a bar at rest is short. */
@@ -178,8 +180,8 @@ export class Traces {
     context.font = `${trouble ? 700 : 600} ${Math.min(15, Math.max(10, rowPx * 0.5))}px ${FONT}`;
     const word = trouble ? text(`lamp.${trouble}`) : "";
     if (trouble && !isTall)
-      context.fillText(hasRoom ? `${this.name(channel)} ${word}` : this.name(channel), 9, middlePx, LABEL_PX - 12);
-    else context.fillText(this.name(channel), 9, trouble ? middlePx - 8 : middlePx, LABEL_PX - 12);
+      context.fillText(hasRoom ? `${channelName(this.hello, channel)} ${word}` : channelName(this.hello, channel), 9, middlePx, LABEL_PX - 12);
+    else context.fillText(channelName(this.hello, channel), 9, trouble ? middlePx - 8 : middlePx, LABEL_PX - 12);
     if (trouble && isTall) context.fillText(word, 9, middlePx + 9, LABEL_PX - 12);
   }
 
@@ -251,12 +253,14 @@ export class Traces {
   drawAxis(plotPx) {
     const { context, height, width } = this.sheet;
     context.fillStyle = colour("quiet");
-    context.font = `13px ${FONT}`;
-    const middle = height - AXIS_PX / 2;
+    context.font = `${axisFontPx()}px ${FONT}`;
+    const middle = height - axisPx() / 2;
+    const [ago, now] = [text("seconds-ago", { seconds: SHOWN_MS / 1000 }), text("now")];
     context.textAlign = "left";
-    context.fillText(text("seconds-ago", { seconds: SHOWN_MS / 1000 }), LABEL_PX, middle);
+    if (context.measureText(ago + now).width + 10 < plotPx) context.fillText(ago, LABEL_PX, middle);
     context.textAlign = "right";
-    context.fillText(text("now"), LABEL_PX + plotPx, middle);
+    context.fillText(now, LABEL_PX + plotPx, middle);
+    context.font = `13px ${FONT}`;
     context.fillText(text("envelope"), width, middle, METER_PX - 8);
     context.textAlign = "left";
   }

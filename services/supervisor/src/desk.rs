@@ -38,10 +38,14 @@ pub struct Desk {
     pub kind: DeskKind,
     /// The file that it is being recorded to.
     pub recording: Option<PathBuf>,
+    /// Why the last recording broke off or could not begin, if it did.
+    pub recording_failure: Option<String>,
     /// Whose session it is.
     pub person: Option<String>,
     /// Name of the strategy.
     pub strategy: &'static str,
+    /// What recognises gestures, as inference tells: files with commas between them. `None` before the session runs.
+    pub model: Option<String>,
     /// Who has been calibrated.
     pub people: Vec<PersonName>,
     /// Names of the strategies there are.
@@ -87,8 +91,10 @@ impl Desk {
             can: Can::default(),
             kind,
             recording: None,
+            recording_failure: None,
             person: person.and_then(person_of),
             strategy: config.decision.strategy.name(),
+            model: None,
             strategies: Vec::new(),
             people: Vec::new(),
             task: None,
@@ -134,8 +140,8 @@ pub struct SessionDesk {
     /// Whether the modes are those of a session that is replayed.
     repeats_modes: bool,
     socket: RequestSocket,
-    /// The recording and the task as they are shown; `None` before the session runs.
-    shown: Option<(Option<PathBuf>, Option<TaskStatus>)>,
+    /// The recording, what became of the last and the task, as they are shown; `None` before the session runs.
+    shown: Option<(Option<PathBuf>, Option<String>, Option<TaskStatus>)>,
     session: SessionName,
     /// The session's command line.
     run: Vec<String>,
@@ -231,9 +237,13 @@ impl SessionDesk {
                 asked.answer(&Answer::done("this session ends, and what was asked for begins"));
             }
         }
-        let now = (watch.recording().map(PathBuf::from), task.map(TaskRun::status));
+        let recording = watch.recording().map(PathBuf::from);
+        let now = (recording, watch.recording_failure().map(str::to_owned), task.map(TaskRun::status));
+        if self.shown.is_none() {
+            self.desk.model = watch.ready().get(&Stage::Inference).map(|ready| ready.detail.clone());
+        }
         if self.shown.as_ref() != Some(&now) {
-            (self.desk.recording, self.desk.task) = now.clone();
+            (self.desk.recording, self.desk.recording_failure, self.desk.task) = now.clone();
             self.shown = Some(now);
             self.socket.show(self.desk.text());
         }
@@ -271,7 +281,12 @@ impl SessionDesk {
 
     /// What this session hands on.
     pub fn handover(&self, page: Option<&PageKeys>) -> Handover {
-        Handover { page: page.cloned(), run: self.run.clone(), session: self.session.clone() }
+        Handover {
+            page: page.cloned(),
+            run: self.run.clone(),
+            session: self.session.clone(),
+            is_recorded: self.desk.recording.is_some(),
+        }
     }
 
     /// Lets decision take the mode of this name.

@@ -34,6 +34,8 @@ pub struct Handover {
     pub page: Option<PageKeys>,
     /// The command line of the session, to which a calibration leads back.
     pub run: Vec<String>,
+    /// Whether it was being recorded; then the next session is, too.
+    pub is_recorded: bool,
     /// The session's name.
     pub session: SessionName,
 }
@@ -137,6 +139,7 @@ pub fn command_line_after(run: &[String], strategy: Strategy, next: &Next) -> an
     match next {
         Next::Session(next) => session_after(run, strategy, next),
         Next::Calibrate(wanted) => calibration_after(run, wanted),
+        Next::Back => session_again(run),
     }
 }
 
@@ -149,6 +152,16 @@ pub fn session_after(run: &[String], strategy: Strategy, next: &NextSession) -> 
     let command_line = changed(run, strategy, next)?;
     check(&command_line)?;
     Ok(command_line)
+}
+
+/// The command line of a session as the one of `run`.
+///
+/// # Errors
+///
+/// When it would be refused if it were typed; in words.
+pub fn session_again(run: &[String]) -> anyhow::Result<Vec<String>> {
+    check(run)?;
+    Ok(run.to_vec())
 }
 
 /// The same, without a look at what the options mean.

@@ -18,7 +18,7 @@ use tendon_messages::Stage;
 use tendon_observer::{Observer, State};
 use tendon_output::OutputErrors;
 use tendon_people::{Person, PersonInUse};
-use tendon_process::{Order, Ready};
+use tendon_process::{Order, PageKeys, Ready};
 use tendon_provenance::Provenance;
 use tendon_report::{Outcome, Report, SessionFacts, SessionMeasurements};
 use tendon_session::{
@@ -299,6 +299,10 @@ fn watch_until_the_end(
     }
     introduce(watch, options, config, task.as_ref(), terminal);
     companions.start_rest(options, config, &terminal.errors)?;
+    if companions.before.as_ref().is_some_and(|before| before.is_recorded) {
+        // What keeps it from being recorded is said by itself.
+        watch.record(true);
+    }
     let tick = if task.is_some() { TASK_TICK } else { TICK };
     loop {
         let left = options.duration.map_or(tick, |duration| duration.saturating_sub(watch.elapsed()));

@@ -133,11 +133,11 @@ impl fmt::Display for Finding {
             ),
             Finding::Alike { first, second, percent } if *first == Gesture::REST => write!(
                 out,
-                "{second} looks like rest in {percent:.0} % of the time: make it a little firmer, and keep still at rest"
+                "{second} looks like rest {percent:.0} % of the time: make it a little firmer, and keep still at rest"
             ),
             Finding::Alike { first, second, percent } => write!(
                 out,
-                "{first} and {second} look alike in {percent:.0} % of the time: repeat them further apart"
+                "{first} and {second} look alike {percent:.0} % of the time: repeat them further apart"
             ),
         }
     }

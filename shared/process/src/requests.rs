@@ -86,6 +86,8 @@ pub enum Next {
     Session(NextSession),
     /// The calibration of a person.
     Calibrate(NextCalibration),
+    /// After a calibration, the session from which it was begun: its person, strategy and task.
+    Back,
 }
 
 /// A session with the same source and settings, but for these. Names are checked by the supervisor.

@@ -105,6 +105,8 @@ pub struct Watch<'a> {
     /// `None` where the session cannot be recorded.
     plan: Option<RecordingPlan>,
     recorder: Option<Recorder>,
+    /// Why the last recording broke off or could not begin, if it did.
+    recording_failure: Option<String>,
     recordings: Vec<RecordingReport>,
     /// Those that came and were not taken yet.
     requests: VecDeque<Asked>,
@@ -148,6 +150,7 @@ impl<'a> Watch<'a> {
             finished: None,
             plan: None,
             recorder: None,
+            recording_failure: None,
             recordings: Vec::new(),
             requests: VecDeque::new(),
         })

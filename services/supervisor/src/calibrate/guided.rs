@@ -48,7 +48,7 @@ pub struct GuidedOptions {
     /// Ask for this gesture alone, in place of what the recording of the calibration has of it. `rest` is 5 s of
     /// it, in place of all rest.
     #[arg(long, value_name = "GESTURE", conflicts_with_all = ["from", "gestures"])]
-    redo: Option<Gesture>,
+    pub(super) redo: Option<Gesture>,
     /// Correct the person for a new day or electrodes that sit a little differently: a few seconds of rest and of each
     /// gesture (18 s for five gestures) move the person by the step that they show.
     #[arg(long, conflicts_with_all = ["from", "gestures", "repetitions", "redo", "replace"])]

@@ -9,13 +9,13 @@
 use std::sync::mpsc::Receiver;
 
 use tendon_config::Config;
-use tendon_process::Next;
+use tendon_process::{Next, NextCalibration};
 use tendon_session::{Event, Writer};
 
 use super::Options;
 use super::next::command_line;
 use crate::Failure;
-use crate::next::{Following, Handover, session_after, strategy_of};
+use crate::next::{Following, Handover, session_after, session_again, strategy_of};
 use crate::page::Page;
 
 /// The page, which listens.
@@ -59,19 +59,64 @@ impl CalibrationPage {
                 let strategy = strategy_of(run).unwrap_or(config.decision.strategy);
                 session_after(run, strategy, next)
             }
-            Next::Calibrate(wanted) => {
-                command_line(wanted, (&options.base, config), &options.page, &options.guided.times())
-            }
+            Next::Back => session_again(run),
+            Next::Calibrate(wanted) => command_line(
+                &as_before(wanted, options),
+                (&options.base, config),
+                &options.page,
+                &options.guided.times(),
+            ),
         };
         let command_line = page.hold(events, errors, after)?;
         let session = config.session.clone();
-        let handover = Handover { page: page.keys().cloned(), run: run.clone(), session };
+        let handover = Handover { page: page.keys().cloned(), run: run.clone(), session, is_recorded: false };
         Some(Following { command_line, handover })
     }
+}
+
+/// What is asked for after the calibration of `before`: of the same person, where nothing is said of what there is of them, that
+/// is taken as it was.
+fn as_before(wanted: &NextCalibration, before: &Options) -> NextCalibration {
+    let mut wanted = wanted.clone();
+    let says_nothing = wanted.redo.is_none() && !wanted.update && !wanted.replace;
+    if says_nothing && wanted.name == before.name.to_string() {
+        (wanted.redo, wanted.update, wanted.replace) =
+            (before.guided.redo, before.guided.update, before.replace);
+        // An update asks for each gesture as often as it needs.
+        wanted.repetitions = wanted.repetitions.filter(|_| !wanted.update);
+    }
+    wanted
 }
 
 /// A session of the source and with the settings of this calibration.
 fn session_with_the_same_settings(options: &Options) -> Vec<String> {
     let run = ["tendon", "run"].map(str::to_owned).into_iter();
     run.chain(options.base.words()).chain(options.page.words()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Command;
+    use crate::next::read;
+
+    #[test]
+    fn the_same_person_again_takes_the_place_of_who_is_there_as_before() {
+        let after = |line: &str, name: &str| {
+            let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+            let Ok(Command::Calibrate(before)) = read(&words) else { panic!("{line}") };
+            let wanted =
+                NextCalibration { name: name.to_owned(), repetitions: Some(1), ..NextCalibration::default() };
+            as_before(&wanted, &before)
+        };
+        assert!(after("tendon calibrate anna --replace", "anna").replace);
+        assert!(!after("tendon calibrate anna --replace", "bert").replace);
+        assert!(!after("tendon calibrate anna", "anna").replace);
+        let update = after("tendon calibrate anna --update", "anna");
+        assert_eq!((update.update, update.repetitions), (true, None));
+        assert_eq!(
+            after("tendon calibrate anna --redo grip", "anna").redo,
+            Some(tendon_gesture::Gesture::GRIP)
+        );
+    }
 }

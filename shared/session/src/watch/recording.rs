@@ -58,6 +58,7 @@ impl Watch<'_> {
         let Some(plan) = &self.plan else {
             return Answer::refused("this session cannot be recorded").with_key("recording-impossible");
         };
+        self.recording_failure = None;
         match self.children.start_recorder(plan) {
             Ok(recorder) => {
                 self.recorder = Some(recorder);
@@ -65,7 +66,9 @@ impl Watch<'_> {
                 Answer::done("the recording begins")
             }
             Err(error) => {
-                let text = format!("the recording cannot begin: {}", with_causes(&error));
+                let why_not = with_causes(&error);
+                let text = format!("the recording cannot begin: {why_not}");
+                self.recording_failure = Some(why_not);
                 self.note(text.clone());
                 Answer::refused(text)
             }
@@ -75,6 +78,11 @@ impl Watch<'_> {
     /// The file that the session is being recorded to.
     pub fn recording(&self) -> Option<&Path> {
         self.recorder.as_ref().filter(|recorder| !recorder.is_finishing()).and_then(Recorder::path)
+    }
+
+    /// Why the last recording broke off or could not begin, if it did.
+    pub fn recording_failure(&self) -> Option<&str> {
+        self.recording_failure.as_deref()
     }
 
     /// Tells the recorder what the stages said when they were ready.
@@ -116,6 +124,7 @@ impl Watch<'_> {
         let (report, status, last_words) = recorder.end();
         let status = status.map_or_else(|| "gone".to_owned(), |status| status.to_string());
         if let Some(report) = report {
+            self.recording_failure = report.error.clone();
             match &report.error {
                 // Its own reason says so where the file is gone.
                 Some(error) if !report.path.exists() => {
@@ -133,6 +142,8 @@ impl Watch<'_> {
             self.recordings.push(report);
         } else if self.has_begun() {
             self.note(format!("the recording could not begin ({status}); the session goes on"));
+            let why_not = last_words.lines().last().map(|line| line.rsplit("error: ").next().unwrap_or(line));
+            self.recording_failure = Some(why_not.map_or_else(|| status.clone(), str::to_owned));
         }
         (status, last_words)
     }
