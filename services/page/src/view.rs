@@ -33,7 +33,7 @@ const SILENT_NS: u64 = 250_000_000;
 const SESSION: &str = "session";
 
 /// What a state says of the arm, besides whether it may move.
-const ARM_KEYS: [&str; 14] = [
+const ARM_KEYS: [&str; 15] = [
     "seen_ns",
     "arm_is_silent",
     "position_mm",
