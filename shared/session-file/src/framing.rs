@@ -117,14 +117,14 @@ impl<R: Read> Framing<R> {
         if !self.has(content.end)? {
             return Ok(self.find_whole(self.next + 1)?.then_some(Framed::Damage));
         }
-        // Its length is right if a record, or nothing, comes behind it.
+        // The length of a chunk is right if the sizes in it agree. One that is not may end anywhere, at a record, too.
+        if opcode == op::CHUNK && !has_sizes_of_chunk(&self.bytes[content.clone()], length) {
+            let _ = self.find_whole(self.next + 1)?;
+            return Ok(Some(Framed::Damage));
+        }
+        // Any other length is right if a record, or nothing, comes behind it.
         if self.has(content.end + HEAD)? && self.head(content.end).is_none() {
-            let is_chunk = opcode == op::CHUNK;
-            if is_chunk && !is_whole_chunk(&self.bytes[content.clone()]) {
-                let _ = self.find_whole(self.next + 1)?;
-                return Ok(Some(Framed::Damage));
-            }
-            self.search_from = Some(if is_chunk { content.end } else { self.next + 1 });
+            self.search_from = Some(if opcode == op::CHUNK { content.end } else { self.next + 1 });
         }
         self.next = content.end;
         Ok(Some(Framed::Record { opcode, content }))
