@@ -5,11 +5,11 @@ use std::fs::Permissions;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::os::unix::fs::PermissionsExt;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use serde_json::{Value, json};
-use tendon_system_tests::{Tendon, TendonBuilder, model, program, unique_session, wait_until};
+use tendon_system_tests::{Tendon, TendonBuilder, WATCHDOG, model, program, unique_session, wait_until};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Error, Message, WebSocket};
@@ -86,9 +86,20 @@ const TWO_MODES: &str = r#"decision.modes=[{name = "z", extension = "+z", flexio
 struct Viewer(WebSocket<TcpStream>);
 
 impl Viewer {
+    /// Reads until there is what is looked for. Without a pause: messages come 60 times a second, and what is read late is old.
+    fn read_until<T>(&mut self, what: &str, look: impl Fn(Message) -> Option<T>) -> T {
+        let begun = Instant::now();
+        while begun.elapsed() < WATCHDOG {
+            if let Some(found) = look(self.0.read().unwrap()) {
+                return found;
+            }
+        }
+        panic!("waited {WATCHDOG:?} in vain for {what}");
+    }
+
     /// The next text under this name for which `is_it` holds.
     fn next(&mut self, name: &str, is_it: impl Fn(&Value) -> bool) -> Value {
-        wait_until(name, || match self.0.read().unwrap() {
+        self.read_until(name, |message| match message {
             Message::Text(text) => {
                 let said: Value = serde_json::from_str(&text).unwrap();
                 said.get(name).filter(|said| is_it(said)).cloned()
@@ -99,7 +110,7 @@ impl Viewer {
 
     /// First bin and number of bins of the next frame.
     fn frame(&mut self) -> (u64, u32) {
-        wait_until("a frame", || match self.0.read().unwrap() {
+        self.read_until("a frame", |message| match message {
             Message::Binary(frame) => {
                 assert_eq!(&frame[..4], b"TEMG");
                 let bins = u32::from_le_bytes(frame[28..32].try_into().unwrap());
@@ -320,7 +331,8 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
     // It begins stopped, and waits for somebody who says that the arm may move.
     let state = again.next("state", |_| true);
     assert_eq!((&state["permission"], &state["stop_reason"]), (&json!("stopped"), &json!("next-session")));
-    again.say(&json!({"order": {"id": 1, "what": "arm", "seen_ns": again.state_now()["seen_ns"]}}));
+    let seen_ns = again.state_now()["seen_ns"].clone();
+    again.say(&json!({"order": {"id": 1, "what": "arm", "seen_ns": seen_ns}}));
     assert_eq!(again.next("answer", |_| true)["ok"], true);
     again.next("state", |state| state["permission"] != "stopped");
     assert!(page.request(&page.watch, &[]).is_ok());
