@@ -357,8 +357,7 @@ mod tests {
     fn what_the_robot_and_decision_said_last_is_not_shown_as_what_they_say_now() {
         let config = Config::default();
         let (mut view, traces) = (View::new(&config), Traces::new(&config).unwrap());
-        let mut trace = Trace::default();
-        trace.published_ns = [7_000_000_000; Stage::ALL.len()];
+        let trace = Trace { published_ns: [7_000_000_000; Stage::ALL.len()], ..Trace::default() };
         view.state(&StateHeader { trace, ..StateHeader::default() }, &[0.0; 13]);
         view.command(&CommandHeader { trace, voted: 1, ..CommandHeader::default() }, &[0.0, 0.0, 5.0]);
         let at = |now_ns| {

@@ -119,7 +119,9 @@ function draw() {
     if (calibration.isOn) showStanding(calibrationStanding(calibration.calibration, calibration.people));
     else if (hello.kind === "failed") showFailed();
     else {
-      showStanding(standing(hello, state, desk));
+      // The robot ends before its session's page does.
+      if (state.arm_is_silent && requests.isChanging) showAway("lost");
+      else showStanding(standing(hello, state, desk));
       for (const part of [recognition, arm, latency, task, actions]) part.showState(state);
     }
   }
