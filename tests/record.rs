@@ -8,15 +8,10 @@ use std::process::Command;
 
 use nix::sys::signal::{Signal, kill};
 use tendon_session_file::{EventKind, Message, Reader};
+use tendon_system_tests::recorded_sessions::{file_in, replay_and_compare};
 use tendon_system_tests::recordings::write_three_dc;
 use tendon_system_tests::{Ended, Tendon, TendonBuilder, unique_session, wait_until};
 use tendon_transport::{SessionName, now_ns};
-
-/// The file of the one session that was recorded to `folder`, once it is there.
-fn file_in(folder: &Path) -> Option<PathBuf> {
-    let session = std::fs::read_dir(folder).ok()?.next()?.ok()?;
-    Some(session.path().join("session.mcap")).filter(|file| file.is_file())
-}
 
 /// What the file holds so far. It may still be written.
 fn messages_of(file: &Path) -> Vec<Message> {
@@ -87,15 +82,6 @@ fn disturbed_session(
     wait_for_commands(&mut session, folder, 30);
     session.signal(Signal::SIGINT);
     (session.end(), file_in(folder).unwrap())
-}
-
-/// Replays the file at full speed, recorded to `folder`; gives what the comparison of the two says.
-fn replay_and_compare(name: &SessionName, file: &Path, folder: &Path, arguments: &[&str]) -> Ended {
-    let replay = TendonBuilder::command(name, &["run", "--session", &name.to_string(), "--pace", "full"]);
-    let replay = replay.args(&["--realtime", "off"]).args(arguments).arg("--replay").arg(file);
-    let replay = replay.arg("--record").arg(folder).end();
-    assert_eq!(replay.exit_code, Some(0), "{replay:#?}");
-    TendonBuilder::command(name, &["compare"]).arg(file).arg(file_in(folder).unwrap()).end()
 }
 
 #[test]
@@ -213,7 +199,7 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     let name = unique_session();
     let folder = tempfile::tempdir().unwrap();
     ask(&name, &["note", "electrode 3 is loose"])
-        .assert_failed(2, &["is not being recorded", "--record FOLDER"]);
+        .assert_failed(2, &["no session `", "is running", "name another with --session"]);
     let session = start_recording(&name, folder.path());
     let noted = ask(&name, &["note", "electrode 3 is loose"]);
     assert!(noted.output.starts_with("noted in "), "{noted:#?}");
@@ -221,7 +207,9 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     wait_until("the note on it", || {
         session.errors_so_far().contains("the recording has stopped: the recorder ended").then_some(())
     });
-    ask(&name, &["note", "too late"]).assert_failed(2, &["is not being recorded"]);
+    ask(&name, &["note", "too late"]).assert_failed(2, &["is not being recorded", "--record FOLDER"]);
+    let other = unique_session();
+    ask(&other, &["note", "nobody"]).assert_failed(2, &[&format!("no session `{other}`"), &name.to_string()]);
     let messages = messages_of(&file_in(folder.path()).unwrap());
     let is_note =
         |message: &Message| matches!(message, Message::Event(event) if event.text == "electrode 3 is loose");
@@ -235,6 +223,12 @@ fn a_killed_recorder_leaves_what_it_wrote_and_the_session_goes_on() {
     };
     let exports = tempfile::tempdir().unwrap();
     let tables = exports.path().join("tables");
+    let export_of_all = TendonBuilder::command(&unique_session(), &["export"]).arg(folder.path());
+    let refused = export_of_all.arg("--csv").arg(&tables).end();
+    refused.assert_failed(
+        2,
+        &["name one of the recorded sessions in it", file.parent().unwrap().to_str().unwrap()],
+    );
     let exported = export(&tables, &[]);
     assert_eq!(exported.exit_code, Some(0), "{exported:#?}");
     assert!(exported.errors.contains("the recording was cut"), "{exported:#?}");

@@ -14,6 +14,7 @@
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "helpers of tests may do what tests may")]
 
 mod emulated_arm;
+pub mod recorded_sessions;
 pub mod recordings;
 pub mod trials;
 

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
@@ -21,7 +20,9 @@ pub fn is_recorded_session(settings: &AcquisitionSettings) -> bool {
 #[derive(Debug)]
 pub struct RecordedSession {
     path: PathBuf,
-    reader: Reader<BufReader<File>>,
+    reader: Reader<File>,
+    /// The block that was read last.
+    block: RecordedBlock,
     delivery: Delivery,
     /// When the first block was captured in the recording.
     first_captured_ns: u64,
@@ -30,6 +31,7 @@ pub struct RecordedSession {
     duration_s: f64,
     is_whole: bool,
     damaged_pieces: u64,
+    damaged_bytes: u64,
     /// What its source said that it measures.
     signal: Option<SignalDescription>,
 }
@@ -58,12 +60,14 @@ impl RecordedSession {
         Ok(RecordedSession {
             path: path.to_owned(),
             reader: Reader::open(path)?,
+            block: RecordedBlock::default(),
             delivery,
             first_captured_ns: first_ns,
             start_ns: 0,
             duration_s: last_ns.saturating_sub(first_ns) as f64 / 1e9,
             is_whole: reader.is_whole(),
             damaged_pieces: reader.damaged_pieces(),
+            damaged_bytes: reader.damaged_bytes(),
             signal,
         })
     }
@@ -72,7 +76,7 @@ impl RecordedSession {
     pub fn description(&self) -> String {
         let damaged = match self.damaged_pieces {
             0 => String::new(),
-            pieces => format!(", damaged, {pieces} of its pieces left out"),
+            pieces => format!(", damaged, {pieces} of its pieces ({} bytes) left out", self.damaged_bytes),
         };
         let cut = if self.is_whole { "" } else { ", cut before its end" };
         format!("recorded session {}, {:.1} s{damaged}{cut}", self.path.display(), self.duration_s)
@@ -81,15 +85,6 @@ impl RecordedSession {
     /// What the source of the recorded session said that it measures.
     pub fn signal(&self) -> Option<SignalDescription> {
         self.signal.clone()
-    }
-
-    fn next_recorded(&mut self) -> Result<Option<RecordedBlock>, SourceError> {
-        while let Some(message) = self.reader.next_message().map_err(SourceError::new)? {
-            if let Message::Block(block) = message {
-                return Ok(Some(block));
-            }
-        }
-        Ok(None)
     }
 }
 
@@ -135,7 +130,10 @@ impl Source for RecordedSession {
     }
 
     fn next_block(&mut self, samples: &mut [f32]) -> Result<Next, SourceError> {
-        let Some(block) = self.next_recorded()? else { return Ok(Next::End) };
+        if !self.reader.next_block(&mut self.block).map_err(SourceError::new)? {
+            return Ok(Next::End);
+        }
+        let block = &self.block;
         samples[..block.values.len()].copy_from_slice(&block.values);
         let (captured_ns, publish_at_ns) = match self.delivery {
             Delivery::Live => {

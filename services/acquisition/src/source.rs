@@ -9,7 +9,7 @@ use tendon_gesture::{Gesture, GestureSet};
 use tendon_messages::Truth;
 use tendon_process::SignalDescription;
 use tendon_recordings::table::Rate;
-use tendon_recordings::{ReplayStream, summed_up};
+use tendon_recordings::{LONGEST_SILENCE_S, ReplayStream, summed_up};
 use tendon_source::{BlockMaker, MadeBlock, Pace, Paced, Source, SourceError};
 use tendon_transport::Delivery;
 
@@ -36,6 +36,7 @@ pub fn open(config: &Config) -> anyhow::Result<Opened> {
             sample_rate_hz: settings.sample_rate_hz,
             jitter_ns: settings.simulate.jitter_ms * 1e6,
             seed: settings.simulate.seed,
+            longest_silence_s: LONGEST_SILENCE_S,
         },
         Delivery::Lossless => Pace::Full,
     };

@@ -110,10 +110,6 @@ impl Consumer<BlockHeader, f32> for Dsp {
             self.chain = chain(&process.config)?;
             (self.next_sample, self.output.truth_before, self.calibrated) = (None, Truth::default(), false);
         }
-        let recorded = self.output.recorded.as_ref();
-        if recorded.is_some_and(|recorded| recorded.is_before_first_window(header.first_sample)) {
-            return Ok(process.measure(&block.trace(), None));
-        }
         // Lost on the way or skipped by the source; a source that began anew misses nothing but is no
         // continuation either.
         if let Some(expected) = self.next_sample.filter(|expected| *expected != header.first_sample) {

@@ -60,11 +60,6 @@ impl RecordedWindows {
         self.marks.begins_anew(first_sample)
     }
 
-    /// Whether a block is passed over, as it comes before the first window that can be repeated. [`Self::begins_anew`] has taken it.
-    pub fn is_before_first_window(&self, first_sample: u64) -> bool {
-        self.marks.is_before_first_window(first_sample)
-    }
-
     /// Lets a window end in the block that comes next where one of the recording did. `follows`: it continues the one before.
     pub fn align(&mut self, chain: &mut SignalChain, first_sample: u64, samples: usize, follows: bool) {
         if !follows {

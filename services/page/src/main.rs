@@ -23,7 +23,6 @@ mod view;
 mod watching;
 
 use std::io::Write;
-use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -32,6 +31,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Parser;
+use listenfd::ListenFd;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tendon_config::Config;
 use tendon_process::{PAGE_VARIABLE, PageKeys};
@@ -58,12 +58,6 @@ struct Arguments {
     /// Name of the session to wait for.
     #[arg(long, conflicts_with = "config")]
     session: Option<SessionName>,
-    /// Where to listen.
-    #[arg(long)]
-    address: IpAddr,
-    /// Port there; 0 for any that is free.
-    #[arg(long)]
-    port: u16,
     /// Give nobody the right to orders.
     #[arg(long)]
     watch_only: bool,
@@ -92,7 +86,9 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
         (None, Some(name)) => Watched::Named(name.clone()),
         (None, None) => unreachable!("clap asks for one of the two"),
     };
-    let listener = listen(SocketAddr::new(arguments.address, arguments.port))?;
+    let listener = ListenFd::from_env().take_tcp_listener(0).context("cannot use the socket to listen at")?;
+    let listener = listener.context("no socket to listen at: `tendon page` starts this program with one")?;
+    listener.set_nonblocking(true).context("cannot listen without waiting")?;
     let address = listener.local_addr().context("cannot tell the page's address")?;
     let access = match page_before()? {
         Some(before) => Access::again(address, arguments.watch_only, before),
@@ -158,21 +154,4 @@ fn open_browser(keys: &PageKeys) -> Option<Signpost> {
 fn start(name: &str, thread: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
     std::thread::Builder::new().name(name.to_owned()).spawn(thread).context("cannot start a thread")?;
     Ok(())
-}
-
-fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {
-    let listener = TcpListener::bind(address).map_err(|error| {
-        let remedy = match error.kind() {
-            std::io::ErrorKind::AddrInUse => {
-                "the port is taken: give another with --page-port, or 0 for any that is free"
-            }
-            std::io::ErrorKind::AddrNotAvailable => {
-                "this machine has no such address: give one of its own with --page-address"
-            }
-            _ => "give another with --page-address and --page-port",
-        };
-        anyhow::Error::new(error).context(format!("cannot listen at {address}; {remedy}"))
-    })?;
-    listener.set_nonblocking(true).context("cannot listen without waiting")?;
-    Ok(listener)
 }

@@ -81,6 +81,7 @@ fn ask(session: &SessionName, wish: Wish) -> Answer {
 fn not_noted(error: &NoteError) -> Answer {
     let refused = Answer::refused(with_causes(error));
     match error {
+        NoteError::Find(_) => refused.with_key("session-not-running"),
         NoteError::NotRecorded(_) => refused.with_key("note-not-recorded"),
         NoteError::Empty => refused.with_key("note-empty"),
         NoteError::TooLong { .. } => refused.with_key("note-too-long"),

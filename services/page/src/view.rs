@@ -34,8 +34,8 @@ const SESSION: &str = "session";
 
 /// What a state says of the arm, besides whether it may move.
 const ARM_KEYS: [&str; 15] = [
-    "arm_is_silent",
     "seen_ns",
+    "arm_is_silent",
     "position_mm",
     "orientation_rad",
     "joints_rad",
@@ -187,9 +187,9 @@ impl View {
         let (joints_rad, position_mm, orientation_rad) =
             (payload.get(..7)?, payload.get(7..10)?, payload.get(10..13)?);
         Some(vec![
-            ("arm_is_silent", json!(is_silent(&header.trace, Stage::Robot, now_ns))),
             // Of which state an order is that the viewer gives next.
             ("seen_ns", json!(header.trace.published_ns[Stage::Robot.index()])),
+            ("arm_is_silent", json!(is_silent(&header.trace, Stage::Robot, now_ns))),
             ("position_mm", json!(position_mm)),
             ("orientation_rad", json!(orientation_rad)),
             ("joints_rad", json!(joints_rad)),

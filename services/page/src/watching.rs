@@ -19,6 +19,8 @@ use crate::desk::{self, Desk};
 use crate::traces::Traces;
 use crate::view::View;
 
+/// Name of this process in a session, for humans.
+const NAME: &str = "page";
 /// Time between two looks at the topics, each of which makes a frame. Of states, commands and predictions only the newest is
 /// shown; blocks and measurements are kept for longer than this.
 const FRAME: Duration = Duration::from_micros(33_333);
@@ -77,33 +79,44 @@ impl Watched {
 /// Watches until `stop`, or the session that was given has ended.
 pub fn watch(watched: &Watched, audience: &Audience, stop: &Arc<AtomicBool>) -> anyhow::Result<()> {
     match watched {
-        Watched::Given(config) => watch_session(config, audience, stop),
+        Watched::Given(config) => {
+            let session = Session::join(&config.session, NAME)?;
+            watch_session(config, session, audience, stop)
+        }
         Watched::Named(name) => {
             while !stop.load(Ordering::Relaxed) {
-                match name.configuration()? {
-                    Some(text) => {
+                if name.supervisor(own_user()).is_some() {
+                    let session = Session::join(name, NAME)?;
+                    if let Some(text) = session.configuration()? {
                         let config =
                             Config::parse(&text, std::path::Path::new("the session's configuration"))?;
-                        watch_session(&config, audience, stop)?;
+                        watch_session(&config, session, audience, stop)?;
                         audience.hello.send_replace(None);
                     }
-                    None => std::thread::sleep(SESSION_LOOK),
                 }
+                std::thread::sleep(SESSION_LOOK);
             }
             Ok(())
         }
     }
 }
 
-fn watch_session(config: &Config, audience: &Audience, stop: &AtomicBool) -> anyhow::Result<()> {
+/// Watches the run that `session` has joined, until `stop` or its end.
+fn watch_session(
+    config: &Config,
+    session: Session,
+    audience: &Audience,
+    stop: &AtomicBool,
+) -> anyhow::Result<()> {
     ensure!(
         config.delivery() == Delivery::Live,
         "session `{}` runs as fast as it can: the page shows sessions in the arm's own time only",
         config.session
     );
-    let supervisor = || config.session.supervisor(own_user()).map(|holder| holder.process_id);
-    let Some(process_id) = supervisor() else { return Ok(()) };
-    let mut topics = Topics::open(config)?;
+    if !session.is_running() {
+        return Ok(());
+    }
+    let mut topics = Topics::open(session)?;
     let (mut view, mut traces) = (View::new(config), Traces::new(config)?);
     desk::look(&config.session, audience);
     let hello = view.hello(now_ns(), traces.bin_ms(), &audience.desk.borrow().facts);
@@ -114,7 +127,7 @@ fn watch_session(config: &Config, audience: &Audience, stop: &AtomicBool) -> any
         let is_summary = Instant::now() >= next_summary;
         if is_summary {
             next_summary = Instant::now() + SUMMARY;
-            if supervisor() != Some(process_id) {
+            if !topics.session.is_running() {
                 return Ok(());
             }
         }
@@ -147,19 +160,18 @@ struct Topics {
     states: PolledSubscriber<StateHeader, f32>,
     measurements: PolledSubscriber<MeasurementHeader, Measurement>,
     // Ports close before the membership they belong to.
-    _session: Session,
+    session: Session,
 }
 
 impl Topics {
-    fn open(config: &Config) -> anyhow::Result<Topics> {
-        let session = Session::join(&config.session, "page")?;
+    fn open(session: Session) -> anyhow::Result<Topics> {
         Ok(Topics {
             blocks: PolledSubscriber::open(&session, &BLOCKS, Delivery::Live)?,
             predictions: PolledSubscriber::open(&session, &PREDICTIONS, Delivery::Live)?,
             commands: PolledSubscriber::open(&session, &COMMANDS, Delivery::Live)?,
             states: PolledSubscriber::open(&session, &STATES, Delivery::Live)?,
             measurements: PolledSubscriber::open(&session, &MEASUREMENTS, Delivery::Live)?,
-            _session: session,
+            session,
         })
     }
 

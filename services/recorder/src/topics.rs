@@ -120,7 +120,7 @@ impl Topics {
         for (topic, count) in &lost {
             let before = self.said.get(topic).copied().unwrap_or_default();
             if *count > before {
-                let text = format!("{} {topic} are missing here: the recorder was too slow", count - before);
+                let text = format!("{topic} missing here: {}, as the recorder was too slow", count - before);
                 writing.put(Item::Event(Event { at_ns: now_ns(), kind: EventKind::Recording, text }));
             }
         }

@@ -14,9 +14,7 @@ use tendon_config::{Config, Gestures, Source};
 use tendon_gesture::{GestureSet, Strategy};
 use tendon_messages::Stage;
 use tendon_people::{People, PersonName};
-use tendon_process::{
-    Answer, Asked, GestureRequest, Next, Order, PageKeys, Request, RequestError, RequestSocket,
-};
+use tendon_process::{Answer, Asked, GestureRequest, Next, Order, Request, RequestError, RequestSocket};
 use tendon_session::{Event, Watch};
 use tendon_session_file::is_session_file;
 use tendon_transport::SessionName;
@@ -25,6 +23,7 @@ use tendon_zones::{TaskRun, TaskStatus};
 use crate::calibrate::CalibrationStatus;
 use crate::next::{self, Handover};
 use crate::options::Options;
+use crate::page::Page;
 
 /// The most names of people that are told: more fit into no message.
 const MOST_PEOPLE: usize = 500;
@@ -280,12 +279,13 @@ impl SessionDesk {
     }
 
     /// What this session hands on.
-    pub fn handover(&self, page: Option<&PageKeys>) -> Handover {
+    pub fn handover(&self, page: Option<&Page>) -> Handover {
         Handover {
-            page: page.cloned(),
+            page: page.and_then(Page::keys).cloned(),
             run: self.run.clone(),
             session: self.session.clone(),
             is_recorded: self.desk.recording.is_some(),
+            socket: page.map(|page| page.socket().clone()),
         }
     }
 

@@ -209,8 +209,8 @@ fn leftovers(findings: &mut Findings, clean: bool) {
             remove(findings, &lock, &session);
         } else {
             let finding = format!(
-                "session `{session}` is dead but holds {} files, {} kB: `tendon doctor --clean` removes them",
-                left.files.len(),
+                "session `{session}` is dead but holds {}, {} kB: `tendon doctor --clean` removes them",
+                counted(left.files.len(), "file", "files"),
                 left.bytes / 1000
             );
             findings.add(Weight::Weak, "leftovers", &finding);
@@ -223,12 +223,13 @@ fn leftovers(findings: &mut Findings, clean: bool) {
 
 fn remove(findings: &mut Findings, lock: &SessionLock, session: &SessionName) {
     let Removed { files, kept } = Leftovers::remove(lock, session);
-    let finding = format!("session `{session}`: {files} files of a dead session removed");
+    let finding =
+        format!("session `{session}`: {} of a dead session removed", counted(files, "file", "files"));
     findings.add(Weight::Good, "leftovers", &finding);
     if let Some(first) = kept.first() {
         let finding = format!(
-            "session `{session}`: {} files cannot be removed, such as {}: whose are they?",
-            kept.len(),
+            "session `{session}`: {} cannot be removed, such as {}: whose are they?",
+            counted(kept.len(), "file", "files"),
             first.display()
         );
         findings.add(Weight::Weak, "leftovers", &finding);

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::{ArgGroup, Args};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 use tendon_export::{
     BidsFacts, ExportError, Survey, check_tables, is_exported_xdf, write_bids, write_tables, write_xdf,
@@ -66,7 +66,7 @@ fn mains(text: &str) -> Result<f64, String> {
 
 /// Exports a session.
 pub fn export(options: &Options) -> Result<(), Failure> {
-    let path = file_of(&options.session);
+    let path = file_of(&options.session).map_err(Failure::input)?;
     if let Some(folder) = &options.csv {
         check_tables(folder, options.force).map_err(Failure::input)?;
     }
@@ -114,11 +114,9 @@ fn tell_what_is_missing(survey: &Survey) {
     let path = survey.path.display();
     if survey.damaged_pieces > 0 {
         tell(format_args!(
-            "{path}: the file is damaged: {} left out; if there is another copy of it, export that one",
-            match survey.damaged_pieces {
-                1 => "1 piece of it is".to_owned(),
-                pieces => format!("{pieces} pieces of it are"),
-            }
+            "{path}: the file is damaged: {} ({} bytes) left out; if there is another copy of it, export that one",
+            counted(survey.damaged_pieces as usize, "piece of it is", "pieces of it are"),
+            survey.damaged_bytes
         ));
     }
     if !survey.is_whole {
@@ -186,7 +184,7 @@ struct Reading {
 impl Reading {
     fn of(path: &Path, passes: usize) -> anyhow::Result<Reading> {
         let is_interrupted = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM] {
+        for signal in [SIGHUP, SIGINT, SIGTERM] {
             flag::register_conditional_default(signal, is_interrupted.clone())
                 .and_then(|_| flag::register(signal, is_interrupted.clone()))
                 .context("cannot handle signals")?;

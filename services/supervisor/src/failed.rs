@@ -56,7 +56,9 @@ fn hold(
     // Once nobody listens any more the request is dropped, which says so.
     let on_request = move |asked: Asked| drop(sender.send(Event::Request(asked)));
     let socket = RequestSocket::listen(&config.session, desk.text(), on_request).map_err(Failure::running)?;
-    let mut page = Page::start(options, config, handover.page.as_ref(), errors).map_err(Failure::running)?;
+    let Some(page) = Page::start(options, config, Some(&handover), errors).map_err(Failure::running)? else {
+        return Ok(None);
+    };
     let strategy = strategy_of(&handover.run).unwrap_or(config.decision.strategy);
     let after = |next: &_| command_line_after(&handover.run, strategy, next);
     let command_line = page.hold(&events, errors, after);

@@ -5,16 +5,21 @@
 //!                    └── refused, in words: the session goes on                                   at the same page
 //! ```
 
+use std::net::TcpListener;
+use std::os::fd::AsRawFd;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
+use std::sync::{Arc, OnceLock};
 
 use anyhow::{Context, anyhow, bail, ensure};
 use clap::Parser;
+use listenfd::ListenFd;
+use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 use serde::{Deserialize, Serialize};
 use tendon_config::{Config, Source};
 use tendon_gesture::Strategy;
 use tendon_people::{PeopleError, PersonName};
-use tendon_process::{Answer, Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys};
+use tendon_process::{Answer, Next, NextCalibration, NextSession, PAGE_VARIABLE, PageKeys, socket_variables};
 use tendon_transport::SessionName;
 
 use crate::options::Options;
@@ -38,6 +43,10 @@ pub struct Handover {
     pub is_recorded: bool,
     /// The session's name.
     pub session: SessionName,
+    /// Where the page listens. It stays open from one to the next, so that no other program can take its place, to which a
+    /// browser would show its token.
+    #[serde(skip)]
+    pub socket: Option<Arc<TcpListener>>,
 }
 
 impl Handover {
@@ -47,11 +56,14 @@ impl Handover {
     ///
     /// When it makes no sense.
     pub fn received() -> anyhow::Result<Option<Handover>> {
+        static SOCKET: OnceLock<Option<Arc<TcpListener>>> = OnceLock::new();
         let Ok(text) = std::env::var(PAGE_VARIABLE) else { return Ok(None) };
-        let handover = serde_json::from_str(&text);
-        handover
-            .map(Some)
-            .with_context(|| format!("{PAGE_VARIABLE} is set to what no session wrote: unset it"))
+        let handover: Handover = serde_json::from_str(&text)
+            .with_context(|| format!("{PAGE_VARIABLE} is set to what no session wrote: unset it"))?;
+        // It can be taken out of the environment once only.
+        let socket =
+            SOCKET.get_or_init(|| ListenFd::from_env().take_tcp_listener(0).ok().flatten().map(Arc::new));
+        Ok(Some(Handover { socket: socket.clone(), ..handover }))
     }
 }
 
@@ -89,6 +101,13 @@ impl Following {
             Ok(handover) => command.env(PAGE_VARIABLE, handover),
             Err(error) => return failed(error.into()),
         };
+        if let Some(socket) = &self.handover.socket {
+            // It is closed at the start of any other program.
+            if let Err(error) = fcntl(socket, FcntlArg::F_SETFD(FdFlag::empty())) {
+                return failed(error.into());
+            }
+            command.envs(socket_variables(socket.as_raw_fd()));
+        }
         failed(command.exec().into())
     }
 }

@@ -21,7 +21,9 @@ pub struct Options {
 pub fn leave(options: &Options) -> Result<(), Failure> {
     let answer = leave_note(&options.session, &options.text).map_err(|error| match error {
         NoteError::NoAnswer(_) | NoteError::Socket { .. } => Failure::running(error),
-        NoteError::NotRecorded(_) | NoteError::Empty | NoteError::TooLong { .. } => Failure::input(error),
+        NoteError::Find(_) | NoteError::NotRecorded(_) | NoteError::Empty | NoteError::TooLong { .. } => {
+            Failure::input(error)
+        }
     })?;
     print(answer).map_err(Failure::running)
 }

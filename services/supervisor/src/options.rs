@@ -166,7 +166,7 @@ impl Options {
 
     /// The configuration before the options: of a recorded session its own, if no other is named.
     fn read(&self) -> anyhow::Result<(Config, Option<TempDir>)> {
-        let replay = self.replay.as_deref().map(file_of);
+        let replay = self.replay.as_deref().map(file_of).transpose()?;
         let Some(recorded) = replay.as_deref().filter(|path| is_session_file(path)) else {
             return Ok((self.base.read()?, None));
         };
@@ -194,7 +194,7 @@ impl Options {
                 other.unwrap_or_default()
             );
             acquisition.source = Source::Replay;
-            acquisition.replay.path = Some(file_of(path));
+            acquisition.replay.path = Some(file_of(path)?);
         }
         if let Some(option) = self.recording.given() {
             ensure!(

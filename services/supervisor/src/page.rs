@@ -1,21 +1,24 @@
 //! The page of a session in a browser: `tendon run --page`, and `tendon page` beside a session that runs.
 
-use std::io::IsTerminal;
-use std::net::{IpAddr, Ipv4Addr};
+use std::io::{ErrorKind, IsTerminal};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
+use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
-use std::process::Command;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
 use tendon_config::Config;
-use tendon_process::{Answer, Next, PAGE_VARIABLE, PageKeys, Request};
+use tendon_process::{Answer, Next, PAGE_VARIABLE, PageKeys, Request, socket_variables};
 use tendon_session::{ChildrenError, Companion, Event, Writer, become_owner};
 
 use crate::Failure;
-use crate::next::refusal;
+use crate::next::{Handover, refusal};
 use crate::running_session::RunningSession;
 
 /// The program that serves the page. It lies beside this one.
@@ -26,8 +29,12 @@ const THERE_TIMEOUT: Duration = Duration::from_secs(10);
 const THERE_LOOK: Duration = Duration::from_millis(10);
 /// What is said while it stays though nothing runs beside it.
 const HELD: &str = "the page goes on from here; Ctrl-C ends it";
-/// Time between two looks at it meanwhile.
-const HOLD_LOOK: Duration = Duration::from_millis(200);
+/// Time between two looks whether its program has ended.
+const KEEP_LOOK: Duration = Duration::from_millis(200);
+/// How often its program is started again.
+const MOST_RESTARTS: u32 = 5;
+/// Where its program finds its socket: it is its standard input.
+const SOCKET_DESCRIPTOR: i32 = 0;
 /// Where it listens unless told otherwise.
 const PORT: u16 = 8423;
 
@@ -49,14 +56,32 @@ struct PlaceOptions {
 }
 
 impl PlaceOptions {
-    /// Those of the page's program, in place of the page `before` if there was one.
-    fn arguments(&self, before: Option<&PageKeys>) -> Vec<String> {
-        let port = before.map_or(self.page_port, |before| before.address.port());
-        let mut arguments = vec![format!("--port={port}"), format!("--address={}", self.page_address)];
-        arguments.extend(self.page_watch_only.then(|| "--watch-only".to_owned()));
-        let opens_browser = before.is_none() && !self.no_browser && has_screen();
-        arguments.extend(opens_browser.then(|| "--browser".to_owned()));
-        arguments
+    /// Opens the socket where the page is to be.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be there; says what to do.
+    fn listen(&self) -> anyhow::Result<TcpListener> {
+        let address = SocketAddr::new(self.page_address, self.page_port);
+        TcpListener::bind(address).map_err(|error| {
+            let remedy = match error.kind() {
+                ErrorKind::AddrInUse => {
+                    "the port is taken: give another with --page-port, or 0 for any that is free"
+                }
+                ErrorKind::AddrNotAvailable => {
+                    "this machine has no such address: give one of its own with --page-address"
+                }
+                _ => "give another with --page-address and --page-port",
+            };
+            anyhow::Error::new(error).context(format!("cannot listen at {address}; {remedy}"))
+        })
+    }
+
+    /// Those of the page's program.
+    fn arguments(&self, opens_browser: bool) -> Vec<String> {
+        let watch_only = self.page_watch_only.then(|| "--watch-only".to_owned());
+        let browser = (opens_browser && !self.no_browser && has_screen()).then(|| "--browser".to_owned());
+        watch_only.into_iter().chain(browser).collect()
     }
 }
 
@@ -94,16 +119,20 @@ impl RunOptions {
     }
 }
 
-/// The page beside a session of this process.
+/// The page beside a session of this process. Its socket is this program's own: where the page's program ends, it is started again
+/// there, and browsers find it.
 #[derive(Debug)]
 pub struct Page {
-    companion: Companion,
+    socket: Arc<TcpListener>,
     /// Empty before it listens.
     keys: Arc<OnceLock<PageKeys>>,
+    /// Starts the program, and again where it ends.
+    keeper: Option<JoinHandle<()>>,
+    is_over: Arc<AtomicBool>,
 }
 
 impl Page {
-    /// Starts the page, in place of the one `before` if there was one.
+    /// Starts the page, in place of the one `before` if there was one. `None` if it cannot listen, which it has said then.
     ///
     /// # Errors
     ///
@@ -111,38 +140,41 @@ impl Page {
     pub fn start(
         options: &RunOptions,
         config: &Config,
-        before: Option<&PageKeys>,
-        standard_error: &Writer,
-    ) -> Result<Page, ChildrenError> {
-        let arguments = options.place.arguments(before);
-        // It is made of texts.
-        let before = before.and_then(|before| serde_json::to_string(before).ok());
-        let (keys, errors) = (Arc::new(OnceLock::new()), standard_error.clone());
-        let heard = keys.clone();
-        let on_said = move |line: &str| {
-            let Ok(keys) = serde_json::from_str::<PageKeys>(line) else { return };
-            let (orders, watch) = keys.links();
-            orders.into_iter().for_each(|link| errors.say(format!("page: {link}")));
-            errors.say(format!("page, to watch only: {watch}"));
-            // It says so once.
-            let _ = heard.set(keys);
+        before: Option<&Handover>,
+        errors: &Writer,
+    ) -> Result<Option<Page>, ChildrenError> {
+        let socket = match before.and_then(|before| before.socket.clone()) {
+            Some(socket) => socket,
+            None => match options.place.listen() {
+                Ok(socket) => Arc::new(socket),
+                Err(error) => {
+                    errors.say(format!("tendon: the page {error:#}: the session goes on without it"));
+                    return Ok(None);
+                }
+            },
         };
-        let before = before.as_deref();
-        let companion = Companion::start(PROGRAM, config, &arguments, before, on_said, standard_error)?;
-        Ok(Page { companion, keys })
+        let (keys, is_over) = (Arc::new(OnceLock::new()), Arc::new(AtomicBool::new(false)));
+        let program = Program {
+            config: config.clone(),
+            place: options.place.clone(),
+            socket: socket.clone(),
+            keys: keys.clone(),
+            errors: errors.clone(),
+        };
+        let first = program.start(before.and_then(|before| before.page.as_ref()))?;
+        let over = is_over.clone();
+        let keeper = std::thread::Builder::new().name("page".to_owned());
+        // Without the thread the program ends at once: that is told as every page that does not listen.
+        let keeper = keeper.spawn(move || program.keep(first, &over)).ok();
+        Ok(Some(Page { socket, keys, keeper, is_over }))
     }
 
-    /// Says once that it has ended, if it has. Does not wait.
-    pub fn look(&mut self) {
-        self.companion.look();
-    }
-
-    /// Waits until it listens; whether it does. One whose port is taken never will.
-    pub fn wait_until_there(&mut self) -> bool {
+    /// Waits until it listens; whether it does.
+    pub fn wait_until_there(&self) -> bool {
         let begun = Instant::now();
-        while self.keys.get().is_none() && !self.companion.has_ended() && begun.elapsed() < THERE_TIMEOUT {
+        let has_ended = || self.keeper.as_ref().is_none_or(JoinHandle::is_finished);
+        while self.keys.get().is_none() && !has_ended() && begun.elapsed() < THERE_TIMEOUT {
             std::thread::sleep(THERE_LOOK);
-            self.look();
         }
         self.keys.get().is_some()
     }
@@ -150,14 +182,14 @@ impl Page {
     /// Keeps it up while nothing runs beside it, until somebody asks for what is to follow and `after` finds its command line, or
     /// somebody ends it.
     pub fn hold(
-        &mut self,
+        &self,
         events: &Receiver<Event>,
         errors: &Writer,
         after: impl Fn(&Next) -> anyhow::Result<Vec<String>>,
     ) -> Option<Vec<String>> {
         errors.say(HELD);
         loop {
-            match events.recv_timeout(HOLD_LOOK) {
+            match events.recv() {
                 Ok(Event::Request(asked)) => {
                     let Request::Next(next) = &asked.request else { continue };
                     let after = after(next);
@@ -172,8 +204,8 @@ impl Page {
                         Err(error) => asked.answer(&refusal(&error)),
                     }
                 }
-                Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => return None,
-                Ok(_) | Err(RecvTimeoutError::Timeout) => self.look(),
+                Ok(Event::Stop) | Err(_) => return None,
+                Ok(_) => {}
             }
         }
     }
@@ -181,6 +213,72 @@ impl Page {
     /// Where it is, once it listens.
     pub fn keys(&self) -> Option<&PageKeys> {
         self.keys.get()
+    }
+
+    /// Where it listens.
+    pub fn socket(&self) -> &Arc<TcpListener> {
+        &self.socket
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(keeper) = self.keeper.take() {
+            keeper.thread().unpark();
+            // It ends the program first.
+            let _ = keeper.join();
+        }
+    }
+}
+
+/// The program that serves the page.
+struct Program {
+    config: Config,
+    place: PlaceOptions,
+    socket: Arc<TcpListener>,
+    keys: Arc<OnceLock<PageKeys>>,
+    errors: Writer,
+}
+
+impl Program {
+    /// Starts it, in place of the page `before` if there was one.
+    fn start(&self, before: Option<&PageKeys>) -> Result<Companion, ChildrenError> {
+        let (heard, errors) = (self.keys.clone(), self.errors.clone());
+        let on_said = move |line: &str| {
+            let Ok(keys) = serde_json::from_str::<PageKeys>(line) else { return };
+            let (orders, watch) = keys.links();
+            // It is where it was if it was started again.
+            if heard.set(keys).is_ok() {
+                orders.into_iter().for_each(|link| errors.say(format!("page: {link}")));
+                errors.say(format!("page, to watch only: {watch}"));
+            }
+        };
+        let socket = self.socket.try_clone().map_err(ChildrenError::Socket)?;
+        let mut environment = socket_variables(SOCKET_DESCRIPTOR).to_vec();
+        // They are made of texts.
+        let before_text = before.and_then(|before| serde_json::to_string(before).ok());
+        environment.extend(before_text.map(|text| (PAGE_VARIABLE, text)));
+        let arguments = self.place.arguments(before.is_none());
+        let input = Stdio::from(OwnedFd::from(socket));
+        Companion::start(PROGRAM, &self.config, &arguments, environment, input, on_said, &self.errors)
+    }
+
+    /// Starts it again where it ends, until `is_over`.
+    fn keep(&self, mut running: Companion, is_over: &AtomicBool) {
+        let mut restarts_left = MOST_RESTARTS;
+        while !is_over.load(Ordering::Relaxed) {
+            std::thread::park_timeout(KEEP_LOOK);
+            let Some(status) = running.ended() else { continue };
+            let again = self.keys.get().filter(|_| restarts_left > 0).map(|keys| self.start(Some(keys)));
+            let Some(Ok(started)) = again else {
+                self.errors
+                    .say(format!("tendon: {PROGRAM} ended ({status}): the session goes on without it"));
+                return;
+            };
+            self.errors.say(format!("tendon: {PROGRAM} ended ({status}) and was started again"));
+            (running, restarts_left) = (started, restarts_left - 1);
+        }
     }
 }
 
@@ -207,10 +305,13 @@ pub fn serve(options: &Options) -> Result<(), Failure> {
     }
     let own =
         std::env::current_exe().context("cannot find this program's folder").map_err(Failure::running)?;
+    let socket = options.place.listen().map_err(Failure::input)?;
     let error = Command::new(own.with_file_name(PROGRAM))
         .env_remove(PAGE_VARIABLE)
+        .envs(socket_variables(SOCKET_DESCRIPTOR))
+        .stdin(OwnedFd::from(socket))
         .args(["--session", session.name.to_string().as_str()])
-        .args(options.place.arguments(None))
+        .args(options.place.arguments(true))
         .exec();
     Err(Failure::running(anyhow::Error::new(error).context(format!("cannot start {PROGRAM}"))))
 }

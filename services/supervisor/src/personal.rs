@@ -11,7 +11,7 @@ use tendon_gesture::{Gesture, GestureSet, Strategy};
 use tendon_people::{People, Person, PersonName, SignalOffer};
 use tendon_process::SignalDescription;
 use tendon_recordings::{Channel, RecordedSession};
-use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings, canonical_unit};
+use tendon_signal::{OnsetMethod, OnsetSettings, WindowSettings, are_same_channels, canonical_unit};
 
 use crate::channels::ask_for;
 use crate::configuration::Base;
@@ -300,7 +300,7 @@ pub fn check_signal(config: &Config, signal: &SignalDescription) -> anyhow::Resu
     let person = Person::read(file)?;
     let own = &person.signal;
     ensure!(
-        own.channels == signal.channels,
+        are_same_channels(&own.channels, &signal.channels),
         "{}: {} was calibrated with the channels {}, and the source has {}: choose them in acquisition.channel_selection, or \
          calibrate again",
         file.display(),

@@ -14,7 +14,7 @@ use tendon_recordings::{Frame, RecordingSettings, RecordingSource, three_dc};
 
 use crate::Failure;
 use crate::channels::{channels_or_default, of_three_dc};
-use crate::output::{checked, print, tell};
+use crate::output::{checked, counted, print, tell};
 use crate::recording_options::RecordingOptions;
 
 /// Commands of `tendon profile`.
@@ -57,8 +57,8 @@ pub fn fit(options: &FitOptions) -> Result<(), Failure> {
         .map_err(Failure::running)?;
     let path = options.out.display();
     print(format_args!(
-        "{path}: profile of {} channels; use it with\n  tendon run --set acquisition.simulate.profile={path}",
-        profile.channels()
+        "{path}: profile of {}; use it with\n  tendon run --set acquisition.simulate.profile={path}",
+        counted(profile.channels(), "channel", "channels")
     ))
     .map_err(Failure::running)
 }
@@ -180,7 +180,7 @@ impl Parts {
             }
             last = frame;
             if frame.is_none() {
-                tell(format_args!("read {} ({} gestures so far)", path.display(), self.segments.len()));
+                tell(format_args!("read {} (gestures so far: {})", path.display(), self.segments.len()));
                 return Ok(());
             }
             by_channel.iter_mut().zip(&values).for_each(|(samples, value)| samples.push(*value));

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, ensure};
 use clap::Args;
 use tempfile::TempDir;
 use tendon_classifier::ModelFiles;
@@ -17,16 +17,40 @@ use tendon_session_file::{
 };
 
 use crate::Failure;
-use crate::output::{checked, print, tell};
+use crate::output::{checked, counted, print, tell};
 use crate::progress::Progress;
 
+/// Sessions of a folder that a message names.
+const SESSIONS_LISTED: usize = 10;
 /// Largest model or person that is compared with an attached one.
 const LARGEST_FILE: u64 = 200 << 20;
 
 /// The file of a session that was named by it or by its folder; any other path as it is.
-pub fn file_of(path: &Path) -> PathBuf {
+///
+/// # Errors
+///
+/// When the folder holds the folders of sessions, which one of them is meant.
+pub fn file_of(path: &Path) -> anyhow::Result<PathBuf> {
     let file = path.join(FILE_NAME);
-    if file.is_file() { file } else { path.to_owned() }
+    if file.is_file() {
+        return Ok(file);
+    }
+    let folders = std::fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut sessions: Vec<String> = folders
+        .filter(|folder| folder.join(FILE_NAME).is_file())
+        .map(|folder| folder.display().to_string())
+        .collect();
+    sessions.sort_unstable();
+    let more = sessions.len().saturating_sub(SESSIONS_LISTED);
+    sessions.truncate(SESSIONS_LISTED);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    ensure!(
+        sessions.is_empty(),
+        "{}: name one of the recorded sessions in it: {}{more}",
+        path.display(),
+        sessions.join(", ")
+    );
+    Ok(path.to_owned())
 }
 
 /// The configuration for the replay of the session recorded in the file at `path`: that of the recording, with the arm
@@ -125,7 +149,8 @@ pub struct CompareOptions {
 /// Compares two recorded sessions. What differs is a failure, unless only one of them has the beginning of its session.
 pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
     let json = checked(options.json.as_deref())?;
-    let (first, second) = (file_of(&options.first), file_of(&options.second));
+    let [first, second] = [file_of(&options.first), file_of(&options.second)];
+    let (first, second) = (first.map_err(Failure::input)?, second.map_err(Failure::input)?);
     let size = |path: &Path| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
     let total = size(&first) + size(&second);
     let megabytes = |bytes: u64| (bytes / 1_000_000) as usize;
@@ -151,7 +176,10 @@ pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
             ));
             Ok(())
         }
-        differences => Err(Failure::running(anyhow!("the two recordings differ: {differences} differences"))),
+        differences => Err(Failure::running(anyhow!(
+            "the two recordings differ: {}",
+            counted(differences as usize, "difference", "differences")
+        ))),
     }
 }
 

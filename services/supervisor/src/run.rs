@@ -5,6 +5,7 @@
 //!    └── refused ──┴── refused ──┴── a stage fails to start ────────────────▶
 //! ```
 
+use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::channel;
@@ -57,16 +58,17 @@ struct Companions {
 
 impl Companions {
     /// Starts the page and waits until it listens, before the stages: whoever has it can stop the arm before it moves for the
-    /// first time. In a session that follows on another the arm waits, and the page comes once the session has begun.
+    /// first time.
     fn before_the_stages(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
         let before = Handover::received().map_err(Failure::input)?;
-        let mut companions = Companions { before, outlet: None, page: None };
-        if !companions.follow_on_session() {
-            companions.start_page(options, config, errors)?;
-            // One that cannot listen says so, and the session goes on without it.
-            let _ = companions.page.as_mut().map(Page::wait_until_there);
-        }
-        Ok(companions)
+        let page = if options.page.page {
+            Page::start(&options.page, config, before.as_ref(), errors).map_err(Failure::running)?
+        } else {
+            None
+        };
+        // One that cannot listen says so, and the session goes on without it.
+        let _ = page.as_ref().map(Page::wait_until_there);
+        Ok(Companions { before, outlet: None, page })
     }
 
     /// Whether there was a session before, at whose page this one was asked for.
@@ -74,28 +76,18 @@ impl Companions {
         self.before.is_some()
     }
 
-    fn start_page(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
-        let before = self.before.as_ref().and_then(|before| before.page.as_ref());
-        let page = options.page.page.then(|| Page::start(&options.page, config, before, errors));
-        self.page = page.transpose().map_err(Failure::running)?;
+    /// Starts the outlet, once the stages are ready.
+    fn start_outlet(&mut self, config: &Config, errors: &Writer) -> Result<(), Failure> {
+        let start = || Companion::start(LSL_OUTLET, config, &[], Vec::new(), Stdio::null(), |_| (), errors);
+        self.outlet = config.outlets.lsl.then(start).transpose().map_err(Failure::running)?;
         Ok(())
     }
 
-    /// Starts what is missing, once the stages are ready.
-    fn start_rest(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
-        if self.follow_on_session() {
-            self.start_page(options, config, errors)?;
+    /// Says that the outlet has ended, if it has. Does not wait.
+    fn look(&mut self, errors: &Writer) {
+        if let Some(status) = self.outlet.as_mut().and_then(Companion::ended) {
+            errors.say(format!("tendon: {LSL_OUTLET} ended ({status}): the session goes on without it"));
         }
-        let outlet =
-            config.outlets.lsl.then(|| Companion::start(LSL_OUTLET, config, &[], None, |_| (), errors));
-        self.outlet = outlet.transpose().map_err(Failure::running)?;
-        Ok(())
-    }
-
-    /// Says what there is to say of them. Does not wait.
-    fn look(&mut self) {
-        self.outlet.iter_mut().for_each(Companion::look);
-        self.page.iter_mut().for_each(Page::look);
     }
 }
 
@@ -298,7 +290,7 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    companions.start_rest(options, config, &terminal.errors)?;
+    companions.start_outlet(config, &terminal.errors)?;
     if companions.before.as_ref().is_some_and(|before| before.is_recorded) {
         // What keeps it from being recorded is said by itself.
         watch.record(true);
@@ -320,14 +312,14 @@ fn watch_until_the_end(
             watch.order(Stage::Acquisition, Order::Gesture { gesture, effort: effort as f32 });
         }
         desk.turn(watch, task.as_ref());
-        companions.look();
+        companions.look(&terminal.errors);
         terminal.errors.show(&line(watch, &config.decision, task.as_ref()));
         let is_over = options.duration.is_some_and(|duration| watch.elapsed() >= duration);
         if turn == Turn::Over || is_over {
             return Ok(None);
         }
         if let Some(command_line) = desk.take_next() {
-            let handover = desk.handover(companions.page.as_ref().and_then(Page::keys));
+            let handover = desk.handover(companions.page.as_ref());
             return Ok(Some(Following { command_line, handover }));
         }
     }

@@ -27,7 +27,7 @@ use crate::Failure;
 use crate::channels::{channels_or_default, listed};
 use crate::configuration::{check_keys, sets};
 use crate::model_channels;
-use crate::output::{checked, left_out, print};
+use crate::output::{checked, counted, left_out, print};
 use crate::progress::Works;
 use crate::provenance::PROGRAM;
 use crate::recording_options::RecordingOptions;
@@ -316,9 +316,8 @@ fn settings(
     model_channels::check(models, "the recordings give", &names)?;
     ensure!(
         channels.len() == config.acquisition.channels,
-        "{} channels of the recordings are taken ({}; --channels names others), acquisition.channels = {}: make them the \
-         same",
-        channels.len(),
+        "of the recordings {} taken ({}; --channels names others), acquisition.channels = {}: make them the same",
+        counted(channels.len(), "channel is", "channels are"),
         listed(&channels),
         config.acquisition.channels
     );

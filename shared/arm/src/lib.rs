@@ -25,6 +25,7 @@ mod motion;
 mod ramp;
 mod settings;
 mod simulation;
+mod step;
 mod told;
 mod twist;
 pub mod velocity;
@@ -34,11 +35,10 @@ pub use guard::Guard;
 pub use kinematics::{DenavitHartenberg, JointLimits, JointVector, XArm7, denavit_hartenberg};
 pub use limits::Obstacle;
 pub use motion::Motion;
-pub use ramp::{
-    ANGULAR_ACCELERATION_RAD_PER_S2, ANGULAR_SPEED_LIMIT_RAD_PER_S, MotionBounds, STEP_NS, STOP_NS,
-};
+pub use ramp::{ANGULAR_ACCELERATION_RAD_PER_S2, ANGULAR_SPEED_LIMIT_RAD_PER_S, MotionBounds, STOP_NS};
 pub use settings::{ArmSettings, ArmSettingsError};
 pub use simulation::{ArmState, SimulatedArm};
+pub use step::STEP_NS;
 pub use told::Told;
 pub use twist::{NonFiniteTwist, Twist};
 pub use violation::LimitViolation;

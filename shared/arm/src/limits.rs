@@ -15,7 +15,7 @@ use nalgebra::{Vector3, Vector6};
 
 use crate::ArmSettings;
 use crate::kinematics::{JOINT_SPEED_LIMIT_RAD_PER_S, JointLimits, JointVector, XArm7};
-use crate::ramp::{STEP_S, part};
+use crate::step::{STEP_S, part};
 use crate::velocity::{JOINT_MARGIN_RAD, Posture, SMALLEST_SINGULAR_VALUE};
 
 /// Motion ends this far before a face of the workspace box, in mm: the way in 30 ms, by which a report may be late, at

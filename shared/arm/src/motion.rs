@@ -107,7 +107,7 @@ mod tests {
 
     use super::*;
     use crate::kinematics::{LOWER_LIMITS_RAD, UPPER_LIMITS_RAD, XArm7};
-    use crate::ramp::STEP_S;
+    use crate::step::STEP_S;
     use crate::velocity::{SMALLEST_SINGULAR_VALUE, joint_velocities, singularity_distance};
     use crate::{STEP_NS, STOP_NS};
 

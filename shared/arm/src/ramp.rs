@@ -20,16 +20,11 @@
 //! - **Stopping.** Beside all that, a stop takes the velocity to zero by a factor that falls from 1 to 0 along two
 //!   parabolas in [`STOP_NS`].
 
-use nalgebra::{Vector3, Vector6};
+use nalgebra::Vector6;
 
 use crate::limits::Obstacle;
+use crate::step::{STEP_NS, STEP_S, part};
 use crate::{ArmSettings, Twist};
-
-/// Length of a step of motion in ns: 250 Hz, the rate of the vendor's controller.
-pub const STEP_NS: u64 = 4_000_000;
-
-/// [`STEP_NS`] in seconds.
-pub(crate) const STEP_S: f64 = STEP_NS as f64 * 1e-9;
 
 /// Greatest angular speed of a commanded motion in rad/s: 29° a second, calm beside 100 mm/s.
 pub const ANGULAR_SPEED_LIMIT_RAD_PER_S: f64 = 0.5;
@@ -343,11 +338,6 @@ fn toward(from: &Vector6<f64>, to: &Vector6<f64>, most: [f64; 2]) -> Vector6<f64
         }
     }
     moved
-}
-
-/// The linear (row 0) or the angular (row 3) part.
-pub(crate) fn part(vector: &Vector6<f64>, row: usize) -> Vector3<f64> {
-    vector.fixed_rows::<3>(row).into_owned()
 }
 
 #[cfg(test)]

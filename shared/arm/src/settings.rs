@@ -4,8 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::kinematics::{JointVector, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD, XArm7};
 use crate::ramp::{
-    ANGULAR_ACCELERATION_RAD_PER_S2, ANGULAR_SPEED_LIMIT_RAD_PER_S, MOST_AVERAGED_STEPS, MotionBounds, STEP_S,
+    ANGULAR_ACCELERATION_RAD_PER_S2, ANGULAR_SPEED_LIMIT_RAD_PER_S, MOST_AVERAGED_STEPS, MotionBounds,
 };
+use crate::step::STEP_S;
 use crate::velocity::{SMALLEST_SINGULAR_VALUE, smallest_singular_value};
 
 /// The longest time from the speed limit to rest, in s. All of it is foreseen in every step.

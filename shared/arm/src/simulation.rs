@@ -5,7 +5,7 @@
 //! called. The same calls give the same motion every time.
 
 use crate::kinematics::{JointVector, LOWER_LIMITS_RAD, UPPER_LIMITS_RAD, XArm7};
-use crate::ramp::STEP_S;
+use crate::step::STEP_S;
 use crate::velocity::joint_velocities;
 use crate::{ArmSettings, ArmSettingsError, Motion, NonFiniteTwist, STEP_NS, Twist};
 

@@ -3,8 +3,9 @@
 use std::fmt;
 
 use tendon_gesture::Class;
-use tendon_signal::{FilterSettings, SignalSettings, WindowInput};
+use tendon_signal::{FilterSettings, SignalSettings, WindowInput, are_same_channels};
 
+use crate::problem::{ContractProblem, senseless};
 use crate::trained_on::TrainedOn;
 
 /// Version of the metadata's layout that this program reads.
@@ -100,69 +101,6 @@ impl fmt::Display for Mismatch {
     }
 }
 
-/// What can be wrong with what a model says of itself.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ContractProblem {
-    /// Metadata that are missing.
-    #[error("the metadata lack `{key}`")]
-    Missing {
-        /// The key.
-        key: &'static str,
-    },
-    /// Metadata that mean nothing.
-    #[error("the metadata's `{key}` is `{value}`, which is not valid")]
-    Senseless {
-        /// The key.
-        key: &'static str,
-        /// Its value.
-        value: String,
-    },
-    /// Metadata of another layout.
-    #[error("the metadata are of contract version {found}, this program reads {}", CONTRACT_VERSION)]
-    Version {
-        /// Their version.
-        found: String,
-    },
-    /// Two outputs for one class.
-    #[error("the metadata's `tendon.classes` name `{class}` twice")]
-    ClassTwice {
-        /// The class.
-        class: Class,
-    },
-    /// Too many inputs or outputs, or none.
-    #[error("the model has {found} {what}s instead of one")]
-    Count {
-        /// `input` or `output`.
-        what: &'static str,
-        /// How many there are.
-        found: usize,
-    },
-    /// An input or output of another shape or type than the metadata say.
-    #[error("the model's {what} is {found}, but the metadata want {expected}")]
-    Shape {
-        /// `input` or `output`.
-        what: &'static str,
-        /// What it is.
-        found: String,
-        /// What follows from the metadata.
-        expected: String,
-    },
-    /// Outputs that are no probabilities: a softmax is missing.
-    #[error(
-        "its outputs are not probabilities (0 to 1, adding up to 1) but {}: end the network with a softmax",
-        listed(outputs)
-    )]
-    NoProbabilities {
-        /// The outputs for a window of zeros.
-        outputs: Vec<f32>,
-    },
-}
-
-/// Numbers in words: `0.5, 0.2`.
-fn listed(numbers: &[f32]) -> String {
-    numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
-}
-
 impl Contract {
     /// Reads a contract through `lookup`, which gives the metadata's value for a key.
     ///
@@ -173,7 +111,7 @@ impl Contract {
         let get = |key: &'static str| lookup(key).ok_or(ContractProblem::Missing { key });
         let version = get("tendon.contract_version")?;
         if version != CONTRACT_VERSION {
-            return Err(ContractProblem::Version { found: version });
+            return Err(ContractProblem::Version { found: version, known: CONTRACT_VERSION });
         }
         let accuracy = "tendon.validation_accuracy";
         let channels = count("tendon.channels", &get("tendon.channels")?)?;
@@ -215,7 +153,7 @@ impl Contract {
         let known = self.remembered_channels();
         // A column that has only a number may be any channel of an amplifier that gives names.
         let is_unknown = known.is_empty() || (are_numbers(known) && !are_numbers(given));
-        (!is_unknown && known != given)
+        (!is_unknown && !are_same_channels(known, given))
             .then(|| format!("the model knows {}; {source} {}", known.join(", "), given.join(", ")))
     }
 
@@ -333,10 +271,6 @@ fn rest_rms(lookup: impl Fn(&str) -> Option<String>, channels: usize) -> Result<
         return Ok(values);
     }
     Err(senseless(key, &lookup(key).unwrap_or_default()))
-}
-
-pub(crate) fn senseless(key: &'static str, value: &str) -> ContractProblem {
-    ContractProblem::Senseless { key, value: value.to_owned() }
 }
 
 fn count(key: &'static str, value: &str) -> Result<usize, ContractProblem> {

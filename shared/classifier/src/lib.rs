@@ -10,6 +10,7 @@
 mod contract;
 mod locate;
 mod metadata;
+mod problem;
 mod recogniser;
 mod rest;
 mod run;
@@ -24,9 +25,10 @@ use ort::session::builder::GraphOptimizationLevel;
 use ort::value::{TensorElementType, ValueType};
 use tendon_people::{PersonFileError, RecogniseError};
 
-pub use contract::{Contract, ContractProblem, Mismatch, WindowSource};
+pub use contract::{Contract, Mismatch, WindowSource};
 pub use locate::{model_beside_program, runtime_library};
 pub use metadata::{contract_of, trained_on};
+pub use problem::ContractProblem;
 pub use recogniser::{
     DEFAULT_REST_MOVE_MODEL_FILE, ModelFiles, Recogniser, RecogniserFiles, default_model_file,
 };

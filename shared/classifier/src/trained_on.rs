@@ -2,7 +2,7 @@
 
 use tendon_identity::PersonId;
 
-use crate::contract::{ContractProblem, senseless};
+use crate::problem::{ContractProblem, senseless};
 
 /// Whom a model was trained on. A number alone names nobody: every data set counts its people from 1.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -36,6 +36,7 @@
 
 mod build;
 mod cut;
+mod error;
 mod files;
 mod journal;
 mod listing;
@@ -48,8 +49,9 @@ mod split;
 mod stored;
 mod trial;
 
-pub use build::{BuildSettings, DatasetError, Progress, build};
+pub use build::{BuildSettings, Progress, build};
 pub use cut::{Cut, CutWindow, cut};
+pub use error::DatasetError;
 pub use files::ALL as FILES;
 pub use listing::{Layout, ListingError, Recordings, list};
 pub use manifest::Manifest;

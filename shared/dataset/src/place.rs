@@ -19,7 +19,7 @@ use nix::errno::Errno;
 use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
 use tendon_identity::{PersonId, list_of};
 
-use crate::build::DatasetError;
+use crate::error::DatasetError;
 use crate::files::{ALL, MANIFEST, PROGRESS};
 use crate::manifest::Manifest;
 

@@ -15,6 +15,7 @@ use tendon_session_file::{
 use tendon_zones::TaskReport;
 
 use crate::bdf::Part;
+use crate::timeline::captured_ns;
 use crate::{ExportError, Timeline};
 
 /// Samples that are missing.
@@ -84,6 +85,8 @@ pub struct Survey {
     pub is_whole: bool,
     /// Damaged pieces of the file that were left out.
     pub damaged_pieces: u64,
+    /// Their bytes.
+    pub damaged_bytes: u64,
 }
 
 impl Survey {
@@ -138,6 +141,7 @@ impl Survey {
             ranges: samples.ranges.into_iter().map(|range| range.unwrap_or_default()).collect(),
             is_whole: reader.is_whole(),
             damaged_pieces: reader.damaged_pieces(),
+            damaged_bytes: reader.damaged_bytes(),
         })
     }
 
@@ -249,7 +253,7 @@ struct Samples {
 impl Samples {
     fn begin(first: &Block) -> Samples {
         let length_ns = (f64::from(first.samples) - 1.0) / first.sample_rate_hz * 1e9;
-        let begun_ns = first.captured_ns.saturating_sub(length_ns as u64);
+        let begun_ns = captured_ns(first).saturating_sub(length_ns as u64);
         Samples {
             sample_rate_hz: first.sample_rate_hz,
             timeline: Timeline::new(first.sample_rate_hz, begun_ns),

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 use tendon_recordings::{Channel, RecordingSettings, RecordingSource, Signals};
+use tendon_session_file::Message;
 
 use crate::*;
 
@@ -123,6 +124,30 @@ fn trials_events_and_windows_lie_on_the_same_axis_as_the_samples() {
     assert_eq!(rows(&tables, "commands.csv")[0][2..], ["tool", "0", "-1.5", "0", "0", "0.25", "0", "3"]);
     assert_eq!(rows(&tables, "arm.csv").len(), 4);
     assert_eq!(rows(&tables, "zones.csv")[1][6..10], ["0", "", "", ""]);
+}
+
+#[test]
+fn a_source_with_impossible_time_stamps_moves_nothing() {
+    let times_s = |stamp: Option<u64>| -> Vec<f64> {
+        let mut session = eventful();
+        for message in &mut session.messages {
+            if let (Message::Block(block), Some(stamp)) = (message, stamp) {
+                block.captured_ns = stamp;
+            }
+        }
+        let (_folder, tables) = exported(&session);
+        ["events.csv", "arm.csv"]
+            .into_iter()
+            .flat_map(|table| rows(&tables, table))
+            .map(|row| row[0].parse().unwrap())
+            .collect()
+    };
+    let sane_s = times_s(None);
+    for stamp in [0, u64::MAX] {
+        let moved_s =
+            times_s(Some(stamp)).into_iter().zip(&sane_s).map(|(time_s, sane_s)| (time_s - sane_s).abs());
+        assert!(moved_s.fold(0.0, f64::max) < 0.001, "{stamp}");
+    }
 }
 
 #[test]

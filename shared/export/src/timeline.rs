@@ -6,9 +6,21 @@
 //!                  number / rate, so gaps stay gaps    clock: how long nothing came
 //! clock, ns ──▶ time_s: from the newest block on, so that amplifier and computer may drift apart
 //! ```
+//!
+//! A block that cannot have been captured when its source says so counts as captured when it was published.
 
 use tendon_messages::Stage;
 use tendon_session_file::{Block, TraceRecord};
+
+/// A block is published no later than this after it was captured, ns; sessions act on far newer ones only.
+const MOST_AGE_NS: u64 = 1_000_000_000;
+
+/// When the newest sample of a block was captured, CLOCK_MONOTONIC ns: as its source says, if that can be.
+pub(crate) fn captured_ns(block: &Block) -> u64 {
+    let Block { captured_ns, published_ns, .. } = *block;
+    let possible_ns = published_ns.saturating_sub(MOST_AGE_NS)..=published_ns;
+    if possible_ns.contains(&captured_ns) { captured_ns } else { published_ns }
+}
 
 /// Where a block lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,13 +73,13 @@ impl Timeline {
     /// Takes the next block.
     pub fn take(&mut self, block: &Block) -> Placed {
         let samples = u64::from(block.samples);
+        let captured_ns = captured_ns(block);
         let length_s = (samples as f64 - 1.0) / self.sample_rate_hz;
         let begins_anew = self.newest.is_none_or(|newest| block.first_sample <= newest.first_sample);
         let is_behind_gap = self.newest.is_some_and(|newest| newest.next_sample != block.first_sample);
         if begins_anew {
             let start_s = self.newest.map_or(0.0, |newest| {
-                let clock_s =
-                    newest.newest_s + difference_s(block.captured_ns, newest.captured_ns) - length_s;
+                let clock_s = newest.newest_s + difference_s(captured_ns, newest.captured_ns) - length_s;
                 // Time never runs backwards, however fast a replay was.
                 clock_s.max(newest.newest_s + 1.0 / self.sample_rate_hz)
             });
@@ -78,7 +90,7 @@ impl Timeline {
         let row = self.rows;
         self.rows += samples;
         self.newest = Some(Newest {
-            captured_ns: block.captured_ns,
+            captured_ns,
             newest_s: start_s + length_s,
             first_sample: block.first_sample,
             next_sample: block.first_sample.saturating_add(samples),

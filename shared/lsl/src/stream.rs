@@ -105,7 +105,8 @@ impl StreamFacts {
 impl fmt::Display for StreamFacts {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let StreamFacts { name, content_type, hostname, channels, sample_rate_hz, .. } = self;
-        write!(out, "\"{name}\" (type {content_type}, {channels} channels, ")?;
+        let plural = if *channels == 1 { "" } else { "s" };
+        write!(out, "\"{name}\" (type {content_type}, {channels} channel{plural}, ")?;
         if *sample_rate_hz > 0.0 {
             write!(out, "{sample_rate_hz} Hz")?;
         } else {

@@ -93,7 +93,7 @@ impl Observer {
     /// files were deleted; else what keeps the observer out of it.
     pub fn join(name: &SessionName, program: &str) -> Result<Observer, ObserverError> {
         if !is_running(name) {
-            return Err(FindError::NotRunning { session: name.clone() }.into());
+            return Err(FindError::not_running(name).into());
         }
         let session = Session::join(name, program)?;
         let begun = Instant::now();
@@ -109,7 +109,7 @@ impl Observer {
                     return Err(ObserverError::FilesGone { session });
                 }
                 Err(ObserverError::NoTopic { session, .. }) => {
-                    return Err(FindError::NotRunning { session }.into());
+                    return Err(FindError::not_running(&session).into());
                 }
                 Err(error) => return Err(error),
             }
@@ -199,7 +199,7 @@ impl Observer {
 
     /// Whether the session still runs.
     pub fn is_running(&self) -> bool {
-        is_running(self.session.name())
+        self.session.is_running()
     }
 }
 

@@ -6,16 +6,20 @@
 //!                          collect ─▶ every file is written, whatever became of the others; all errors at once
 //! ```
 //!
+//! The temporary file is locked, so that what a command that was killed has left is known and removed by the next one that
+//! writes the same file.
+//!
 //! A file that is there already is replaced: people run a command again with the same options. It stays whole until the
 //! new one is complete, and [`OutputFile::replaces`] lets the command say so before it starts. Devices and pipes, such
 //! as /dev/stdout, are written to directly.
 #![forbid(unsafe_code)]
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::fmt::{self, Display};
-use std::fs::{self, File, OpenOptions, Permissions};
+use std::fs::{self, File, OpenOptions, Permissions, TryLockError};
 use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -219,6 +223,7 @@ impl OutputFile {
             };
             return file.and_then(|mut file| fill(&mut file, write)).map_err(|source| self.error(source));
         }
+        self.remove_left_over();
         let mut temporary = self.temporary()?;
         fill(temporary.as_file_mut(), write)
             .and_then(|()| temporary.as_file().sync_all())
@@ -258,13 +263,48 @@ impl OutputFile {
         }
     }
 
-    /// A temporary file beside the target, gone when dropped.
+    /// A temporary file beside the target, locked, and gone when dropped.
     fn temporary(&self) -> Result<NamedTempFile, OutputError> {
-        tempfile::Builder::new()
-            .prefix(TEMPORARY)
-            .permissions(Permissions::from_mode(self.mode))
-            .tempfile_in(self.folder())
-            .map_err(|source| self.error(source))
+        loop {
+            let file = tempfile::Builder::new()
+                .prefix(&self.temporary_prefix())
+                .permissions(Permissions::from_mode(self.mode))
+                .tempfile_in(self.folder())
+                .map_err(|source| self.error(source))?;
+            // Before the lock, another command may have taken it for left over.
+            let is_taken = matches!(file.as_file().try_lock(), Err(TryLockError::WouldBlock));
+            let is_there = file.as_file().metadata().is_ok_and(|metadata| metadata.nlink() > 0);
+            if is_there && !is_taken {
+                return Ok(file);
+            }
+        }
+    }
+
+    /// What the names of temporary files for this target begin with.
+    fn temporary_prefix(&self) -> OsString {
+        /// Bytes of the target's name, so that the whole is no longer than a name may be.
+        const MOST: usize = 100;
+        let name = self.target.file_name().unwrap_or_default().as_bytes();
+        let mut prefix = OsString::from(TEMPORARY);
+        prefix.push(OsStr::from_bytes(&name[..name.len().min(MOST)]));
+        prefix.push("-");
+        prefix
+    }
+
+    /// Removes temporary files for this target that nobody writes any more. What cannot be removed stays.
+    fn remove_left_over(&self) {
+        let prefix = self.temporary_prefix();
+        for entry in fs::read_dir(self.folder()).into_iter().flatten().flatten() {
+            let is_temporary = entry.file_name().as_bytes().starts_with(prefix.as_bytes())
+                && entry.file_type().is_ok_and(|kind| kind.is_file());
+            let file = is_temporary.then(|| OpenOptions::new().write(true).open(entry.path()).ok()).flatten();
+            // The lock is kept until the file is gone.
+            if let Some(file) = file
+                && file.try_lock().is_ok()
+            {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
     }
 
     fn error(&self, source: io::Error) -> OutputError {
@@ -459,6 +499,27 @@ mod tests {
         file.write_bytes(b"new").unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_a_killed_command_has_left_of_the_same_file_is_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| {
+            let path = folder.path().join(name);
+            (File::create(&path).unwrap(), path)
+        };
+        let (_, left) = file(".tendon-session.xdf-a1b2c3");
+        let (being_written, other_command) = file(".tendon-session.xdf-d4e5f6");
+        being_written.try_lock().unwrap();
+        let (_, other_file) = file(".tendon-other.xdf-a1b2c3");
+        let target = OutputFile::check(&folder.path().join("session.xdf")).unwrap();
+        target.write_bytes(b"whole").unwrap();
+        assert_eq!(fs::read(target.path()).unwrap(), b"whole");
+        assert!(!left.exists() && other_command.exists() && other_file.exists());
+        let names_of =
+            |target: &OutputFile| target.temporary().unwrap().path().file_name().unwrap().to_owned();
+        let long = OutputFile::check(&folder.path().join("\u{e9}".repeat(120))).unwrap();
+        assert!(is_temporary(&names_of(&target)) && is_temporary(&names_of(&long)));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use tendon_features::{Discriminant, FeatureError, FitError, LaggedLogCovariance, SlowAdaptation};
-use tendon_signal::{FilterSettings, canonical_unit};
+use tendon_signal::{FilterSettings, are_same_channels, canonical_unit};
 
 use crate::effort::{EffortRange, rms_of_channels};
 use crate::person::{Person, SignalFit};
@@ -232,7 +232,8 @@ impl Person {
         };
         match offer.channel_names {
             Some(names) if names.len() == offer.channels => {
-                compare("channels", names == channels, channels.join(", "), names.join(", "));
+                let are_same = are_same_channels(names, channels);
+                compare("channels", are_same, channels.join(", "), names.join(", "));
             }
             _ => {
                 let person = format!("{} ({})", channels.len(), channels.join(", "));

@@ -37,7 +37,7 @@ pub use error::{ProcessError, WorkError, with_causes};
 pub use measure::{BATCH_LENGTH, Measurements};
 pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, leave_note};
 pub use orders::{Asker, Order, OrderError, order_robot};
-pub use page::{PAGE_VARIABLE, PageKeys};
+pub use page::{PAGE_VARIABLE, PageKeys, socket_variables};
 pub use requests::{
     Answer, Asked, CalibrationRequest, GestureRequest, Next, NextCalibration, NextSession, Request,
     RequestError, RequestSocket, ask_session, session_status,

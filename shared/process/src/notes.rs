@@ -8,7 +8,7 @@
 use std::time::Duration;
 
 use nix::errno::Errno;
-use tendon_transport::{SessionName, own_user};
+use tendon_transport::{FindError, SessionName, own_user};
 
 use crate::orders::{AskError, Asker, Socket, ask};
 
@@ -22,7 +22,10 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 /// Why a note was not kept.
 #[derive(Debug, thiserror::Error)]
 pub enum NoteError {
-    /// Nothing is recorded under that name.
+    /// There is no such session.
+    #[error(transparent)]
+    Find(#[from] FindError),
+    /// The session is not recorded.
     #[error(
         "session `{0}` is not being recorded, so nobody keeps a note: start it with --record FOLDER, press w in it, or begin \
          a recording on its page"
@@ -121,6 +124,9 @@ pub fn leave_note(session: &SessionName, text: &str) -> Result<String, NoteError
     }
     let answered = ask(&listening_name(session), own_user(), text, ANSWER_TIMEOUT, LONGEST_ANSWER);
     answered.map_err(|error| match error {
+        AskError::Nobody if session.supervisor(own_user()).is_none() => {
+            FindError::not_running(session).into()
+        }
         AskError::Nobody => NoteError::NotRecorded(session.clone()),
         AskError::NoAnswer => NoteError::NoAnswer(session.clone()),
         AskError::Socket(source) => NoteError::Socket { session: session.clone(), source },
@@ -135,7 +141,7 @@ mod tests {
     fn a_note_is_answered_and_refused_where_nobody_records() {
         let session: SessionName = format!("notes-{}", std::process::id()).parse().unwrap();
         let refused = leave_note(&session, "electrode 3 is loose").unwrap_err();
-        assert!(refused.to_string().contains("--record FOLDER"), "{refused}");
+        assert!(matches!(refused, NoteError::Find(FindError::NotRunning { .. })), "{refused}");
         let mut recorder = NoteSocket::open(&session).unwrap();
         assert!(matches!(NoteSocket::open(&session), Err(NoteError::Socket { .. })));
         assert!(recorder.receive().is_none());

@@ -343,7 +343,7 @@ pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Re
     let timeout = if matches!(order, Order::Arm { .. }) { ARM_ANSWER_TIMEOUT } else { ANSWER_TIMEOUT };
     let name = listening_name(user, session);
     ask(&name, user, &order.line(), timeout, MAXIMUM_LINE_LENGTH).map_err(|error| match error {
-        AskError::Nobody => FindError::NotRunning { session: session.clone() }.into(),
+        AskError::Nobody => FindError::not_running(session).into(),
         AskError::NoAnswer => OrderError::NoAnswer(session.clone()),
         AskError::Socket(source) => OrderError::Socket { session: session.clone(), source },
     })

@@ -8,6 +8,12 @@ use serde::{Deserialize, Serialize};
 /// again. Whoever reads it does not hand it on to other programs.
 pub const PAGE_VARIABLE: &str = "TENDON_PAGE";
 
+/// The variables of the environment that tell a program its listening socket, whose file descriptor is `descriptor`: those of
+/// socket activation, sd_listen_fds(3), with the first descriptor beside them, as the crate listenfd reads them.
+pub fn socket_variables(descriptor: i32) -> [(&'static str, String); 2] {
+    [("LISTEN_FDS", "1".to_owned()), ("LISTEN_FDS_FIRST_FD", descriptor.to_string())]
+}
+
 /// Where a page is, and its tokens. The page says it as one line of JSON on standard output once it listens.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PageKeys {

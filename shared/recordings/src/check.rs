@@ -38,8 +38,9 @@ pub struct CueSpan {
     pub samples: u64,
 }
 
-/// A gap that is at least as long is named, in seconds: a replay at its true pace is silent for so long.
-const LONG_SILENCE_S: f64 = 10.0;
+/// A replay at its true pace is silent for no longer than this, in seconds, however many samples are missing. A gap that is longer
+/// is named.
+pub const LONGEST_SILENCE_S: f64 = 10.0;
 
 /// Reads the whole recording once, so that a bad one is refused before anything starts.
 ///
@@ -78,7 +79,7 @@ pub fn check(path: &Path, settings: &RecordingSettings) -> Result<Summary, Recor
         (!constant.is_empty()).then(|| Notice::Constant { path: path.to_owned(), channels: constant });
     let sample_rate_hz = source.sample_rate_hz();
     let seconds = |samples: u64| samples as f64 / sample_rate_hz;
-    let silence = Some(seconds(longest_lost)).filter(|silence_s| *silence_s >= LONG_SILENCE_S);
+    let silence = Some(seconds(longest_lost)).filter(|silence_s| *silence_s > LONGEST_SILENCE_S);
     let silence = silence.map(|silence_s| Notice::Silence {
         path: path.to_owned(),
         silence_s,

@@ -40,7 +40,7 @@ mod text;
 pub mod three_dc;
 pub mod xdf;
 
-pub use check::{CueSpan, Summary, check};
+pub use check::{CueSpan, LONGEST_SILENCE_S, Summary, check};
 pub use error::RecordingError;
 pub use muscles::{first_muscles, muscles, unit_of_table};
 pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, SimulatedFrom};

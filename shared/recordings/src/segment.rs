@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize, Serializer};
 use tendon_gesture::Gesture;
 
+use crate::check::LONGEST_SILENCE_S;
 use crate::table::{ColumnKind, TimingRemark};
 
 /// A file of a recording, or a part of one.
@@ -87,7 +88,7 @@ pub enum Notice {
         /// The line after the first of them.
         line: u64,
     },
-    /// The longest gap is so long that a replay at its true pace seems to stand still.
+    /// The longest gap is so long that a replay at its true pace does not wait for all of it.
     Silence {
         /// The recording.
         path: PathBuf,
@@ -211,7 +212,8 @@ impl fmt::Display for Notice {
             ),
             Notice::Silence { path, silence_s, after_s } => write!(
                 formatter,
-                "{}: after {after_s:.1} s of samples, {silence_s:.0} s are missing: replayed at its true pace, it is silent for so long",
+                "{}: after {after_s:.1} s of samples, {silence_s:.0} s are missing: if a clock was set then, cut the recording in two; \
+                 replayed at its true pace, it is silent for {LONGEST_SILENCE_S:.0} s of them",
                 path.display()
             ),
             Notice::MissingSamples { file, lines, line } => write!(
@@ -254,7 +256,7 @@ impl fmt::Display for Notice {
             ),
             Notice::SamplesMissing { file, samples } => write!(
                 formatter,
-                "{}: {samples} samples are no finite number in one of the channels, or only fill a record up: they are taken as missing",
+                "{}: samples that are no finite number in one of the channels, or only fill a record up, are taken as missing: {samples}",
                 file.display()
             ),
             Notice::RateApproximated { from_hz, to_hz, up, down, error_ppm } => write!(

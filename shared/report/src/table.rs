@@ -71,12 +71,12 @@ impl Report {
             writeln!(out, "stages  ended and were started again: {}", self.restarts)?;
         }
         if self.lost_samples > 0 {
-            writeln!(out, "source  lost {} samples of each channel", self.lost_samples)?;
+            writeln!(out, "source  samples lost of each channel: {}", self.lost_samples)?;
         }
         if self.skipped_blocks > 0 {
             writeln!(
                 out,
-                "source  {} blocks were lost, or too late to act upon, and left out",
+                "source  blocks lost, or too late to act upon and left out: {}",
                 self.skipped_blocks
             )?;
         }

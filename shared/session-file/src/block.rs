@@ -24,7 +24,7 @@ pub(crate) const LAYOUT: &str = "little-endian: u64 sequence, u64 captured_ns, u
     Times are CLOCK_MONOTONIC in ns.";
 
 /// A block of raw samples.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Block {
     /// Sequence number on the topic.
     pub sequence: u64,
@@ -85,17 +85,37 @@ impl Block {
 
     /// Reads it; `None` if the bytes are none. Without the samples where they are not wanted.
     pub(crate) fn decode(bytes: &[u8], with_values: bool) -> Option<Block> {
-        let (header, values) = bytes.split_at_checked(HEADER_LENGTH)?;
+        let mut block = Block::default();
+        block.read(bytes, with_values).then_some(block)
+    }
+
+    /// The same into this one, whose room for samples is used again; whether the bytes are a block.
+    pub(crate) fn read(&mut self, bytes: &[u8], with_values: bool) -> bool {
+        let mut values = std::mem::take(&mut self.values);
+        values.clear();
+        let header = bytes.split_at_checked(HEADER_LENGTH).and_then(|(header, samples)| {
+            let header = Block::decode_header(header, samples.len())?;
+            let (words, _) = samples.as_chunks();
+            if with_values {
+                values.extend(words.iter().map(|word| f32::from_le_bytes(*word)));
+            }
+            Some(header)
+        });
+        let is_block = header.is_some();
+        *self = Block { values, ..header.unwrap_or_default() };
+        is_block
+    }
+
+    /// Reads a header, without samples; `None` if it is none for so many bytes of samples.
+    fn decode_header(header: &[u8], bytes_of_samples: usize) -> Option<Block> {
         let u64_at = |at: usize| header[at..at + 8].try_into().ok().map(u64::from_le_bytes);
         let u32_at = |at: usize| header[at..at + 4].try_into().ok().map(u32::from_le_bytes);
         let gesture = Some(header[56]).filter(|gesture| *gesture != UNKNOWN);
         let (channels, samples) = (u32_at(64)?, u32_at(68)?);
         let length = (channels as usize).checked_mul(samples as usize)?.checked_mul(size_of::<f32>())?;
-        if values.len() != length || length == 0 {
+        if bytes_of_samples != length || length == 0 {
             return None;
         }
-        let (words, _) = values.as_chunks();
-        let values = words.iter().map(|word| f32::from_le_bytes(*word));
         Some(Block {
             sequence: u64_at(0)?,
             captured_ns: u64_at(8)?,
@@ -106,7 +126,7 @@ impl Block {
             channels,
             samples,
             non_finite_samples: u32_at(72)?,
-            values: if with_values { values.collect() } else { Vec::new() },
+            values: Vec::new(),
         })
     }
 }

@@ -27,6 +27,7 @@
 mod block;
 mod compare;
 mod conversation;
+mod framing;
 mod marks;
 mod number;
 mod reader;

@@ -8,8 +8,8 @@
 //! no window, prediction or command of it ─▶ dsp, inference or decision left it out: too old, lost, or not running
 //! ```
 //!
-//! A recording that was begun in a running session starts between two windows. Its replay begins with the first block that
-//! a recorded window begins with, so that its windows are those of the recording.
+//! A recording that was begun in a running session starts between two windows. Its replay cuts windows where the recording has
+//! them, and not from the first block.
 //!
 //! dsp reads the marks and hands on, in each window's context, what concerns the stages behind it. A message is tied to its
 //! epoch by when the block behind it was published, which its trace says.
@@ -83,8 +83,6 @@ pub struct ReplayMarks {
     restarts_of_dsp: HashSet<(u32, u64)>,
     windows: BTreeMap<KeyOfWindow, u8>,
     ordered_modes: BTreeMap<KeyOfWindow, u8>,
-    /// First sample of the replay; 0 for a recording of a whole session.
-    begin_sample: u64,
 }
 
 impl ReplayMarks {
@@ -106,12 +104,6 @@ impl ReplayMarks {
     pub fn begins_anew(&mut self, first_sample: u64) -> bool {
         let epoch = self.epochs.take(first_sample);
         self.restarts_of_dsp.contains(&(epoch, first_sample))
-    }
-
-    /// Whether a block is passed over, as it comes before the first window that can be repeated. [`ReplayMarks::begins_anew`] has
-    /// taken it.
-    pub fn is_before_first_window(&self, first_sample: u64) -> bool {
-        self.epochs.epoch == 0 && first_sample < self.begin_sample
     }
 
     /// The [`ReplayMark`]s of a window of the newest block, for its context; `None` if dsp left it out.
@@ -236,18 +228,7 @@ impl Gathered {
         let ordered_modes = ordered
             .map(|(trace, first_sample, mode)| (self.epochs.key(trace, *first_sample), *mode))
             .collect();
-        let begin_sample = self.begin_sample(windows.keys()).unwrap_or_default();
-        let epochs = EpochCounter::default();
-        ReplayMarks { epochs, restarts_of_dsp, windows, ordered_modes, begin_sample }
-    }
-
-    /// First sample of the first block that one of `windows` begins with, in a recording that lacks the beginning of its session.
-    fn begin_sample<'a>(&self, windows: impl Iterator<Item = &'a KeyOfWindow>) -> Option<u64> {
-        self.blocks.first().filter(|block| block.sequence > 0)?;
-        let blocks = self.blocks.iter().filter(|block| block.epoch == 0);
-        let begins: HashSet<u64> = blocks.map(|block| block.first_sample).collect();
-        let windows = windows.filter(|window| window.epoch == 0).map(|window| window.first_sample);
-        windows.filter(|first_sample| begins.contains(first_sample)).min()
+        ReplayMarks { epochs: EpochCounter::default(), restarts_of_dsp, windows, ordered_modes }
     }
 
     /// The first block that a dsp process took. Sequence numbers start again with the source, so it is the newest block of

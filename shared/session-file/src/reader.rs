@@ -4,27 +4,22 @@
 //! records of the file: header, metadata, attachments, chunks ──checksum──▶ records of the chunk: channels, messages
 //!                                                        └── wrong: left out and counted; what comes behind is read
 //! ```
+//!
+//! `framing.rs` says where each record begins, also behind one whose length is damaged.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::Read;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use mcap::McapError;
 use mcap::records::{Record as McapRecord, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use crate::block::Block;
+use crate::framing::{Framed, Framing, MAGIC};
 use crate::records::Message;
 use crate::schemas::{CHANNELS, ChannelKind};
 use crate::{CONFIGURATION, PROFILE, VERSION};
-
-/// First bytes of every MCAP file.
-const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
-/// Longest record; one that says it is longer is damaged. A model is the largest thing in a file.
-const LONGEST_RECORD: usize = 256 << 20;
-/// Bytes read at a time.
-const PIECE: usize = 1 << 16;
 
 /// Why the file of a session cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -88,6 +83,12 @@ pub enum Record {
     Message(Message),
 }
 
+/// A record of the file whose message, if it is one, was not looked into.
+enum Raw {
+    Attached(Record),
+    Message(ChannelKind, Range<usize>),
+}
+
 /// What a file begins with.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Head {
@@ -132,11 +133,10 @@ impl Head {
 /// Reads a file from its beginning to its end, or to where it was cut. What is damaged is left out. It never panics, whatever
 /// the file holds.
 pub struct Reader<R> {
-    input: R,
     path: PathBuf,
-    records: LinearReader,
-    /// Those of the chunk that is being read.
-    chunk: Option<LinearReader>,
+    framing: Framing<R>,
+    /// Records of the chunk that is being read, as far as they have not been.
+    chunk: Option<Range<usize>>,
     /// By the id in the file.
     channels: HashMap<u16, ChannelKind>,
     with_samples: bool,
@@ -144,7 +144,8 @@ pub struct Reader<R> {
     is_over: bool,
     is_whole: bool,
     damaged_pieces: u64,
-    bytes_read: u64,
+    /// Of chunks whose place is known.
+    damaged_bytes: u64,
 }
 
 impl<R> std::fmt::Debug for Reader<R> {
@@ -153,7 +154,7 @@ impl<R> std::fmt::Debug for Reader<R> {
     }
 }
 
-impl Reader<BufReader<File>> {
+impl Reader<File> {
     /// Opens the file at `path`.
     ///
     /// # Errors
@@ -162,7 +163,7 @@ impl Reader<BufReader<File>> {
     pub fn open(path: &Path) -> Result<Self, SessionFileError> {
         let file = tendon_input::open(path)
             .map_err(|source| SessionFileError::Read { path: path.to_owned(), source })?;
-        Ok(Reader::new(BufReader::with_capacity(PIECE, file), path))
+        Ok(Reader::new(file, path))
     }
 }
 
@@ -170,9 +171,8 @@ impl<R: Read> Reader<R> {
     /// Reads from `input`; `path` is for messages.
     pub fn new(input: R, path: &Path) -> Reader<R> {
         Reader {
-            input,
             path: path.to_owned(),
-            records: LinearReader::new_with_options(options().with_emit_chunks(true)),
+            framing: Framing::new(input),
             chunk: None,
             channels: HashMap::new(),
             with_samples: true,
@@ -180,7 +180,7 @@ impl<R: Read> Reader<R> {
             is_over: false,
             is_whole: false,
             damaged_pieces: 0,
-            bytes_read: 0,
+            damaged_bytes: 0,
         }
     }
 
@@ -195,14 +195,19 @@ impl<R: Read> Reader<R> {
         self.is_whole
     }
 
-    /// Pieces, each a chunk or an attached file, that are damaged and were left out so far.
+    /// Pieces, each a chunk, an attached file or bytes between two chunks, that are damaged and were left out so far.
     pub fn damaged_pieces(&self) -> u64 {
         self.damaged_pieces
     }
 
+    /// Bytes of these pieces.
+    pub fn damaged_bytes(&self) -> u64 {
+        self.damaged_bytes + self.framing.bytes_passed_over()
+    }
+
     /// Bytes read so far.
     pub fn bytes_read(&self) -> u64 {
-        self.bytes_read
+        self.framing.bytes_read()
     }
 
     /// The next message; what else there is in between is passed over.
@@ -220,6 +225,23 @@ impl<R: Read> Reader<R> {
         }
     }
 
+    /// Reads the next block into `block`, and passes over everything else. Whether there is one. Nothing is allocated for a
+    /// block once the largest one and the longest piece of the file have been read.
+    ///
+    /// # Errors
+    ///
+    /// As [`Reader::next`].
+    pub fn next_block(&mut self, block: &mut Block) -> Result<bool, SessionFileError> {
+        while let Some(raw) = self.next_raw()? {
+            if let Raw::Message(ChannelKind::Blocks, bytes) = raw
+                && block.read(self.framing.content(bytes), self.with_samples)
+            {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
     /// The next record; `None` at the end, or where the file was cut. What is damaged and messages that are none of ours are
     /// passed over.
     ///
@@ -228,38 +250,51 @@ impl<R: Read> Reader<R> {
     /// [`SessionFileError`] when it cannot be read, or is no file of a session.
     #[expect(clippy::should_implement_trait, reason = "it can fail, and is read with `while let`")]
     pub fn next(&mut self) -> Result<Option<Record>, SessionFileError> {
-        while !self.is_over {
-            if let Some(message) = self.next_of_chunk() {
-                return Ok(Some(Record::Message(message)));
-            }
-            let (opcode, data) = match self.records.next_event() {
-                None | Some(Err(McapError::UnexpectedEof)) => break,
-                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    let room = self.records.insert(wanted.clamp(1, PIECE));
-                    let count = self
-                        .input
-                        .read(room)
-                        .map_err(|source| SessionFileError::Read { path: self.path.clone(), source })?;
-                    self.records.notify_read(count);
-                    self.bytes_read += count as u64;
-                    continue;
+        while let Some(raw) = self.next_raw()? {
+            match raw {
+                Raw::Attached(record) => return Ok(Some(record)),
+                Raw::Message(kind, bytes) => {
+                    if let Some(message) = message(kind, self.framing.content(bytes), self.with_samples) {
+                        return Ok(Some(Record::Message(message)));
+                    }
                 }
-                Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data),
-                // Nothing tells where the next record begins.
-                Some(Err(_)) => {
+            }
+        }
+        Ok(None)
+    }
+
+    fn next_raw(&mut self) -> Result<Option<Raw>, SessionFileError> {
+        while !self.is_over {
+            if let Some((kind, bytes)) = self.next_of_chunk() {
+                return Ok(Some(Raw::Message(kind, bytes)));
+            }
+            let next = self.framing.next();
+            let next = next.map_err(|source| SessionFileError::Read { path: self.path.clone(), source })?;
+            let (opcode, content) = match next {
+                None => break,
+                Some(Framed::Record { opcode, content }) => (opcode, content),
+                Some(Framed::Damage) => {
                     self.damaged_pieces += 1;
-                    break;
+                    continue;
                 }
             };
             if opcode == op::CHUNK {
-                self.chunk = Some(records_of(data));
+                self.chunk = self.framing.records_of_chunk(content.clone());
+                if self.chunk.is_none() {
+                    self.leave_out(&content);
+                }
                 continue;
             }
-            match mcap::parse_record(opcode, data) {
+            // The index of a chunk says nothing new.
+            if opcode == op::MESSAGE_INDEX {
+                continue;
+            }
+            match mcap::parse_record(opcode, self.framing.content(content.clone())) {
                 Ok(McapRecord::Header(header)) if header.profile != PROFILE => break,
                 Ok(McapRecord::Header(_)) => self.has_header = true,
                 Ok(McapRecord::Attachment { header, data, .. }) => {
-                    return Ok(Some(Record::Attachment { name: header.name, bytes: data.into_owned() }));
+                    let (name, bytes) = (header.name, data.into_owned());
+                    return Ok(Some(Raw::Attached(Record::Attachment { name, bytes })));
                 }
                 Ok(McapRecord::Metadata(metadata)) => {
                     let (name, facts) = (metadata.name, metadata.metadata);
@@ -268,16 +303,15 @@ impl<R: Read> Reader<R> {
                         let version = version.clone();
                         return Err(SessionFileError::Version { path: self.path.clone(), version });
                     }
-                    return Ok(Some(Record::Metadata { name, facts }));
+                    return Ok(Some(Raw::Attached(Record::Metadata { name, facts })));
                 }
-                // Behind it comes the index, which says nothing new.
+                // So does the index of the file, which comes behind it.
                 Ok(McapRecord::DataEnd(_)) => {
                     self.is_whole = true;
                     break;
                 }
-                Ok(McapRecord::MessageIndex(_)) => {}
                 // No writer of ours writes anything else outside a chunk.
-                Ok(_) | Err(_) => self.damaged_pieces += 1,
+                Ok(_) | Err(_) => self.leave_out(&content),
             }
         }
         self.is_over = true;
@@ -287,63 +321,31 @@ impl<R: Read> Reader<R> {
         Err(SessionFileError::NotOne { path: self.path.clone() })
     }
 
-    /// The next message of the chunk; `None` at its end.
-    fn next_of_chunk(&mut self) -> Option<Message> {
+    fn leave_out(&mut self, content: &Range<usize>) {
+        self.damaged_pieces += 1;
+        self.damaged_bytes += content.len() as u64;
+    }
+
+    /// The next message of the chunk, and of which kind it is; `None` at the chunk's end.
+    fn next_of_chunk(&mut self) -> Option<(ChannelKind, Range<usize>)> {
         let records = self.chunk.as_mut()?;
-        loop {
-            let record = match records.next_event() {
-                // All of it is there.
-                Some(Ok(LinearReadEvent::ReadRequest(_))) => {
-                    records.notify_read(0);
-                    continue;
-                }
-                Some(Ok(LinearReadEvent::Record { opcode, data })) => mcap::parse_record(opcode, data),
-                Some(Err(error)) => Err(error),
-                None => break,
-            };
-            match record {
+        while let Some((opcode, content)) = self.framing.next_in(records) {
+            match mcap::parse_record(opcode, self.framing.content(content.clone())) {
                 Ok(McapRecord::Channel(channel)) => {
                     let kind = CHANNELS.into_iter().find(|kind| kind.topic() == channel.topic);
                     self.channels.extend(kind.map(|kind| (channel.id, kind)));
                 }
                 Ok(McapRecord::Message { header, data }) => {
-                    let kind = kind_of(&self.channels, header.channel_id);
-                    let message = kind.and_then(|kind| message(kind, &data, self.with_samples));
-                    if message.is_some() {
-                        return message;
+                    if let Some(kind) = kind_of(&self.channels, header.channel_id) {
+                        return Some((kind, content.end - data.len()..content.end));
                     }
                 }
-                Ok(_) => {}
-                Err(_) => {
-                    self.damaged_pieces += 1;
-                    break;
-                }
+                Ok(_) | Err(_) => {}
             }
         }
         self.chunk = None;
         None
     }
-}
-
-/// A chunk is looked at only when it is whole and its checksum is right.
-fn options() -> LinearReaderOptions {
-    LinearReaderOptions::default()
-        .with_prevalidate_chunk_crcs(true)
-        .with_skip_end_magic(true)
-        .with_record_length_limit(LONGEST_RECORD)
-}
-
-/// Reads the records of a chunk, which it checks first.
-fn records_of(chunk: &[u8]) -> LinearReader {
-    let mut records = LinearReader::new_with_options(options().with_skip_start_magic(true));
-    let length = (chunk.len() as u64).to_le_bytes();
-    let record = records.insert(1 + length.len() + chunk.len());
-    record[0] = op::CHUNK;
-    record[1..][..length.len()].copy_from_slice(&length);
-    record[1 + length.len()..].copy_from_slice(chunk);
-    let written = record.len();
-    records.notify_read(written);
-    records
 }
 
 /// What the file says of this channel; where the piece that says it is damaged, as [`crate::Writer`] numbers them.

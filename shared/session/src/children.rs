@@ -74,6 +74,9 @@ pub enum ChildrenError {
     /// The configuration cannot be handed over.
     #[error("cannot keep the configuration in memory")]
     Configuration(#[source] std::io::Error),
+    /// The socket cannot be handed over.
+    #[error("cannot hand over the socket of the page")]
+    Socket(#[source] std::io::Error),
     /// The program does not start.
     #[error("cannot start {}: build all programs with ./scripts/run or cargo build", program.display())]
     Start {

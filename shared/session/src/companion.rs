@@ -2,7 +2,7 @@
 //! for nothing: if it ends, that is said, and the session goes on.
 
 use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use nix::sys::signal::{Signal, kill};
@@ -21,17 +21,15 @@ const STOP_LOOK: Duration = Duration::from_millis(10);
 /// A program beside the stages. Dropping it stops it.
 #[derive(Debug)]
 pub struct Companion {
-    name: &'static str,
     process: Child,
     /// It reads the configuration from there.
     _config: SealedConfig,
-    standard_error: Writer,
     has_ended: bool,
 }
 
 impl Companion {
-    /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` of its own, and `page` as
-    /// [`PAGE_VARIABLE`] in its environment. Each line that it says on standard output goes to `on_said`, in a thread; what it
+    /// Starts the program `name`, which lies beside this one, on this configuration, with `arguments` and variables of the
+    /// `environment` of its own and `input` as its standard input. Each line that it says on standard output goes to `on_said`, in a thread; what it
     /// writes to standard error goes to `standard_error`.
     ///
     /// # Errors
@@ -41,7 +39,8 @@ impl Companion {
         name: &'static str,
         config: &Config,
         arguments: &[String],
-        page: Option<&str>,
+        environment: Vec<(&str, String)>,
+        input: Stdio,
         mut on_said: impl FnMut(&str) + Send + 'static,
         standard_error: &Writer,
     ) -> Result<Companion, ChildrenError> {
@@ -52,8 +51,8 @@ impl Companion {
             .arg(config.path())
             .args(arguments)
             .env_remove(PAGE_VARIABLE)
-            .envs(page.map(|page| (PAGE_VARIABLE, page)))
-            .stdin(Stdio::null())
+            .envs(environment)
+            .stdin(input)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -76,29 +75,17 @@ impl Companion {
                 }
             });
         }
-        Ok(Companion {
-            name,
-            process,
-            _config: config,
-            standard_error: standard_error.clone(),
-            has_ended: false,
-        })
+        Ok(Companion { process, _config: config, has_ended: false })
     }
 
-    /// Whether it was seen to have ended.
-    pub fn has_ended(&self) -> bool {
-        self.has_ended
-    }
-
-    /// Says once that it has ended, if it has. Does not wait.
-    pub fn look(&mut self) {
-        if !self.has_ended
-            && let Ok(Some(status)) = self.process.try_wait()
-        {
-            self.has_ended = true;
-            self.standard_error
-                .say(format!("tendon: {} ended ({status}): the session goes on without it", self.name));
+    /// How it has ended, when that is seen for the first time. Does not wait.
+    pub fn ended(&mut self) -> Option<ExitStatus> {
+        if self.has_ended {
+            return None;
         }
+        let status = self.process.try_wait().ok().flatten();
+        self.has_ended = status.is_some();
+        status
     }
 }
 

@@ -207,7 +207,7 @@ fn next_text(
 ) -> Option<String> {
     if mailbox.left_out > 0 {
         let left_out = std::mem::take(&mut mailbox.left_out);
-        mailbox.pieces.push_front(Piece::Line(format!("({left_out} lines left out)")));
+        mailbox.pieces.push_front(Piece::Line(format!("(lines left out: {left_out})")));
     }
     match mailbox.pieces.pop_front() {
         // The live line comes again with the next `show`.
@@ -281,7 +281,7 @@ mod tests {
         output.finish(WATCHDOG).unwrap();
         let text = reading.join().unwrap();
         // Of those that had to wait, the newest are kept.
-        assert!(text.contains("line 1000: ") && text.contains("lines left out)\n"), "{}", text.len());
+        assert!(text.contains("line 1000: ") && text.contains("(lines left out: "), "{}", text.len());
     }
 
     #[test]

@@ -35,5 +35,5 @@ pub use error::DesignError;
 pub use filter::{EmgFilter, FilterSettings, LARGEST_SAMPLE};
 pub use onset::{Onset, OnsetMethod, OnsetSettings, find_onset};
 pub use resample::Resampler;
-pub use unit::{UnitError, canonical_unit, known_units, unit_factor};
+pub use unit::{UnitError, are_same_channels, canonical_unit, known_units, unit_factor, without_unit};
 pub use windows::{WindowInput, WindowSettings, Windower};

@@ -51,6 +51,23 @@ pub fn unit_factor(from: &str, to: &str) -> Result<f64, UnitError> {
     }
 }
 
+/// The name of a channel without the unit with which it ends: `EMG 1 (mV)`, `EMG 1 [mV]` and `EMG 1,mV` are `EMG 1`. One program
+/// writes the unit of samples there, another does not.
+pub fn without_unit(name: &str) -> &str {
+    let name = name.trim();
+    let in_brackets =
+        |open: char, close: char| name.strip_suffix(close).and_then(|name| name.rsplit_once(open));
+    let parts = in_brackets('(', ')').or_else(|| in_brackets('[', ']')).or_else(|| name.rsplit_once(','));
+    let named = parts.filter(|(_, unit)| known(unit).is_some()).map(|(name, _)| name.trim_end());
+    named.filter(|name| !name.is_empty()).unwrap_or(name)
+}
+
+/// Whether these are the names of the same channels in the same order, whatever units stand in them.
+pub fn are_same_channels(names: &[String], others: &[String]) -> bool {
+    let of = |names: &[String]| names.iter().map(|name| without_unit(name).to_owned()).collect::<Vec<_>>();
+    of(names) == of(others)
+}
+
 /// The canonical spelling of a unit and how many volts it is, if it is known.
 fn known(unit: &str) -> Option<(&'static str, Option<f64>)> {
     let unit = unit.trim().to_lowercase();
@@ -79,6 +96,26 @@ mod tests {
         assert!((factor("volts", "mV") - 1e3).abs() < 1e-9);
         assert!((factor("uV", "mV") - 1e-3).abs() < 1e-15);
         assert_eq!(factor("ADC counts", "adc_counts"), 1.0);
+    }
+
+    #[test]
+    fn the_unit_at_the_end_of_a_name_is_no_part_of_it() {
+        for (name, without) in [
+            ("EMG 1 (mV)", "EMG 1"),
+            ("L Flexor: EMG 1 [\u{b5}V]", "L Flexor: EMG 1"),
+            ("LT BICEPS,uV", "LT BICEPS"),
+            ("EMG (raw)", "EMG (raw)"),
+            ("EMG 1 (2000.0)", "EMG 1 (2000.0)"),
+            ("ACC X (G)", "ACC X (G)"),
+            ("(mV)", "(mV)"),
+            ("mV", "mV"),
+            ("flexor", "flexor"),
+        ] {
+            assert_eq!(without_unit(name), without, "{name}");
+        }
+        let names = |names: [&str; 2]| names.map(str::to_owned);
+        assert!(are_same_channels(&names(["a (mV)", "b (mV)"]), &names(["a", "b (V)"])));
+        assert!(!are_same_channels(&names(["a", "b"]), &names(["b", "a"])));
     }
 
     #[test]

@@ -8,7 +8,7 @@
 use tendon_config::AcquisitionSettings;
 use tendon_process::SignalDescription;
 use tendon_recordings::Channel;
-use tendon_signal::{UnitError, canonical_unit, unit_factor};
+use tendon_signal::{UnitError, canonical_unit, unit_factor, without_unit};
 
 /// Largest difference between the rate of an amplifier and that of the session, as a share: windows and filters are the same then.
 const RATE_TOLERANCE: f64 = 1e-3;
@@ -63,8 +63,9 @@ pub enum OfferError {
     },
     /// Fewer EMG channels than the session has.
     #[error(
-        "the amplifier has {offered} EMG channels ({names}), and acquisition.channels is {wanted}: set it to what there is, or \
-         name channels in acquisition.channel_selection"
+        "the amplifier has {}, and acquisition.channels is {wanted}: {}name channels in acquisition.channel_selection",
+        emg_channels(*offered, names),
+        if *offered > 0 { "set it to what there is, or " } else { "" }
     )]
     TooFew {
         /// EMG channels of the amplifier.
@@ -234,10 +235,10 @@ impl Offer {
     }
 }
 
-/// The name of a channel as recordings and people have it: no number, which would be a place, and nothing that separates the
+/// The name of a channel as recordings and people have it: without its unit, no number, which would be a place, and nothing that separates the
 /// columns of a table.
 fn plain(name: &str) -> String {
-    let name = name.trim().replace([',', ';', '\t', '\n', '\r', '"'], "_");
+    let name = without_unit(name).replace([',', ';', '\t', '\n', '\r', '"'], "_");
     if name.parse::<f64>().is_ok() { format!("channel_{name}") } else { name }
 }
 
@@ -248,6 +249,15 @@ impl Choice {
         for instant in instants.chunks_exact(self.offered) {
             into.extend(self.taken.iter().map(|&(place, factor)| instant[place] * factor));
         }
+    }
+}
+
+/// So many EMG channels, with their names.
+fn emg_channels(count: usize, names: &str) -> String {
+    match count {
+        0 => "no channel that it calls EMG".to_owned(),
+        1 => format!("1 EMG channel ({names})"),
+        count => format!("{count} EMG channels ({names})"),
     }
 }
 

@@ -41,6 +41,8 @@ pub enum Pace {
         jitter_ns: f64,
         /// The same seed gives the same delays.
         seed: u64,
+        /// Where samples are missing, nothing comes for so long at most, s: nobody waits out the years by which a clock was set.
+        longest_silence_s: f64,
     },
     /// As fast as they are taken.
     Full,
@@ -59,6 +61,8 @@ pub struct Paced<M> {
     start_ns: u64,
     /// Samples so far, those missing included.
     elapsed_samples: u64,
+    /// Those among the missing ones that were not waited for.
+    passed_over_samples: u64,
 }
 
 impl<M: BlockMaker> Paced<M> {
@@ -66,7 +70,7 @@ impl<M: BlockMaker> Paced<M> {
     pub fn new(maker: M, pace: Pace, block_samples: usize) -> Paced<M> {
         let seed = if let Pace::True { seed, .. } = pace { seed } else { 0 };
         let jitter = Xoshiro256PlusPlus::seed_from_u64(seed);
-        Paced { maker, pace, block_samples, jitter, start_ns: 0, elapsed_samples: 0 }
+        Paced { maker, pace, block_samples, jitter, start_ns: 0, elapsed_samples: 0, passed_over_samples: 0 }
     }
 }
 
@@ -89,9 +93,12 @@ impl<M: BlockMaker> Source for Paced<M> {
         let first_sample = self.elapsed_samples + lost_samples;
         self.elapsed_samples = first_sample + self.block_samples as u64;
         let (captured_ns, publish_at_ns) = match self.pace {
-            Pace::True { sample_rate_hz, jitter_ns, .. } => {
+            Pace::True { sample_rate_hz, jitter_ns, longest_silence_s, .. } => {
+                let most_samples = (longest_silence_s * sample_rate_hz) as u64;
+                self.passed_over_samples += lost_samples.saturating_sub(most_samples);
                 // From the start, so that no error adds up.
-                let due_ns = self.start_ns + (self.elapsed_samples as f64 * 1e9 / sample_rate_hz) as u64;
+                let samples = self.elapsed_samples - self.passed_over_samples;
+                let due_ns = self.start_ns + (samples as f64 * 1e9 / sample_rate_hz) as u64;
                 (due_ns, due_ns + (jitter_ns * self.jitter.random::<f64>()) as u64)
             }
             Pace::Full => (now_ns(), 0),
@@ -128,22 +135,25 @@ mod tests {
 
     #[test]
     fn blocks_are_due_one_after_the_other_from_the_start_but_for_missing_samples_and_end() {
-        let pace = Pace::True { sample_rate_hz: 2000.0, jitter_ns: 0.0, seed: 1 };
-        let mut source = Paced::new(Ones(4), pace, 10);
-        source.start().unwrap();
-        let mut samples = [0.0; 10];
-        for block in [0, 1, 4_u64] {
-            let Next::Block(made) = source.next_block(&mut samples).unwrap() else { panic!("a block") };
-            assert_eq!(made.first_sample, 10 * block);
-            assert_eq!(made.captured_ns, source.start_ns + 5_000_000 * (block + 1));
-            assert_eq!(made.publish_at_ns, made.captured_ns);
+        // 20 missing samples last 10 ms.
+        for (longest_silence_s, last_due_ms) in [(10.0, 25), (0.005, 20)] {
+            let pace = Pace::True { sample_rate_hz: 2000.0, jitter_ns: 0.0, seed: 1, longest_silence_s };
+            let mut source = Paced::new(Ones(4), pace, 10);
+            source.start().unwrap();
+            let mut samples = [0.0; 10];
+            for (first_sample, due_ms) in [(0, 5), (10, 10), (40, last_due_ms)] {
+                let Next::Block(made) = source.next_block(&mut samples).unwrap() else { panic!("a block") };
+                assert_eq!(made.first_sample, first_sample);
+                assert_eq!(made.captured_ns, source.start_ns + 1_000_000 * due_ms);
+                assert_eq!(made.publish_at_ns, made.captured_ns);
+            }
+            assert_eq!(source.next_block(&mut samples).unwrap(), Next::End);
         }
-        assert_eq!(source.next_block(&mut samples).unwrap(), Next::End);
     }
 
     #[test]
     fn jitter_delays_the_publication_and_not_the_capture() {
-        let pace = Pace::True { sample_rate_hz: 2000.0, jitter_ns: 3e6, seed: 1 };
+        let pace = Pace::True { sample_rate_hz: 2000.0, jitter_ns: 3e6, seed: 1, longest_silence_s: 10.0 };
         let mut source = Paced::new(Ones(100), pace, 10);
         source.start().unwrap();
         let delays_ns: Vec<u64> = (0..50)

@@ -19,6 +19,7 @@ use tendon_paths::{
     user_name,
 };
 
+use crate::clock::now_ns;
 use crate::publisher::Element;
 
 /// Subscribers a topic can have: the next stage and observers (supervisor, `tendon latency`, recorders).
@@ -106,20 +107,9 @@ impl SessionName {
         shared_memory_directory().join(format!("{}{ending}", self.prefix()))
     }
 
-    /// The configuration of this user's session of this name; `None` while it is starting, or does not run.
-    ///
-    /// # Errors
-    ///
-    /// [`PathError`] when it cannot be read, or is not to be trusted.
-    pub fn configuration(&self) -> Result<Option<String>, PathError> {
-        let Some(supervisor) = self.supervisor(own_user()) else { return Ok(None) };
-        let kept = self.folder()?.read(&self.configuration_file(supervisor.process_id))?;
-        Ok(kept.map(|text| String::from_utf8_lossy(&text).into_owned()))
-    }
-
-    /// Name of the file in the run-time folder in which a supervisor keeps the configuration.
-    fn configuration_file(&self, process_id: i32) -> String {
-        format!("{}configuration.{process_id}", self.prefix())
+    /// Name of the file in the run-time folder in which a supervisor keeps the configuration of a run.
+    fn configuration_file(&self, run: &Run) -> String {
+        format!("{}configuration.{}", self.prefix(), run.began_ns)
     }
 
     /// iceoryx2's configuration for this session, whose run-time state lies in `folder`.
@@ -138,14 +128,26 @@ impl SessionName {
         config.global.service.cleanup_dead_nodes_on_open = false;
         config
     }
+}
 
-    /// Where the run-time state of this user's session lies: where its supervisor says, if one runs, whatever this
-    /// process's own environment says.
-    fn folder(&self) -> Result<PrivateFolder, PathError> {
-        match self.supervisor(own_user()).filter(|supervisor| !supervisor.card.is_empty()) {
-            Some(supervisor) => PrivateFolder::open(Path::new(&supervisor.card)),
-            None => runtime_folder(),
-        }
+/// One run of a session, as its supervisor says on the card of its claim. The next session of this name is another run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Run {
+    /// When the supervisor took the session, ns of the monotonic clock.
+    began_ns: u64,
+    /// Where the run-time state of the session lies.
+    folder: PathBuf,
+}
+
+impl Run {
+    fn to_card(&self) -> String {
+        format!("{} {}", self.began_ns, self.folder.display())
+    }
+
+    /// `None` for a card that is empty, since its supervisor hangs, or of another version.
+    fn on_card(card: &str) -> Option<Run> {
+        let (began_ns, folder) = card.split_once(' ')?;
+        Some(Run { began_ns: began_ns.parse().ok()?, folder: folder.into() })
     }
 }
 
@@ -192,6 +194,17 @@ pub enum SessionError {
         /// iceoryx2's own word.
         reason: String,
     },
+    /// The supervisor hangs.
+    #[error(
+        "session `{session}`: its supervisor, process {process_id}, does not answer: let it go on (kill -CONT {process_id}), or \
+         end it"
+    )]
+    Silent {
+        /// Session name.
+        session: SessionName,
+        /// The supervisor.
+        process_id: i32,
+    },
     /// A topic could not be opened.
     #[error(
         "session `{session}`, topic `{topic}`: cannot open: {reason}; is shared memory (/dev/shm) full, or is \
@@ -237,10 +250,12 @@ pub fn required_bytes<H: Traced, E: Element>(topic: &Topic<H, E>, maximum_length
     kept as u64 * message as u64
 }
 
-/// One process's membership in a session. Ports are opened from it.
+/// One process's membership in a run of a session. Ports are opened from it.
 #[derive(Debug)]
 pub struct Session {
     name: SessionName,
+    /// `None` where nobody supervises, as in tests and benchmarks.
+    run: Option<Run>,
     node: Node<ipc::Service>,
 }
 
@@ -249,10 +264,20 @@ impl Session {
     ///
     /// # Errors
     ///
-    /// [`SessionError::Join`] when iceoryx2 cannot create its node.
+    /// [`SessionError::Silent`] while the supervisor hangs; [`SessionError::Join`] when iceoryx2 cannot create its node.
     pub fn join(name: &SessionName, process: &str) -> Result<Session, SessionError> {
         iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
-        let folder = name.folder()?;
+        let run = match name.supervisor(own_user()) {
+            Some(Holder { process_id, card, .. }) => {
+                let silent = || SessionError::Silent { session: name.clone(), process_id };
+                Some(Run::on_card(&card).ok_or_else(silent)?)
+            }
+            None => None,
+        };
+        let folder = match &run {
+            Some(run) => PrivateFolder::open(&run.folder)?,
+            None => runtime_folder()?,
+        };
         if folder.path().as_os_str().len() + name.prefix().len() + SOCKET_NAME_LENGTH > MAXIMUM_SOCKET_PATH {
             return Err(SessionError::NameTooLong(name.clone()));
         }
@@ -264,12 +289,32 @@ impl Session {
             .config(&name.config(folder.path()))
             .create::<ipc::Service>()
             .map_err(|error| join_error(&error))?;
-        Ok(Session { name: name.clone(), node })
+        Ok(Session { name: name.clone(), run, node })
+    }
+
+    /// Whether the run that this process joined still goes on: `false` once it has ended, even if another of the same name
+    /// has begun.
+    pub fn is_running(&self) -> bool {
+        self.name.supervisor(own_user()).is_some_and(|supervisor| {
+            // One that hangs has not ended.
+            supervisor.card.is_empty() || self.run == Run::on_card(&supervisor.card)
+        })
     }
 
     /// The session's name.
     pub fn name(&self) -> &SessionName {
         &self.name
+    }
+
+    /// The configuration of the run; `None` while it is starting, or nobody supervises it.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError`] when it cannot be read, or is not to be trusted.
+    pub fn configuration(&self) -> Result<Option<String>, PathError> {
+        let Some(run) = &self.run else { return Ok(None) };
+        let kept = PrivateFolder::open(&run.folder)?.read(&self.name.configuration_file(run))?;
+        Ok(kept.map(|text| String::from_utf8_lossy(&text).into_owned()))
     }
 
     pub(crate) fn topic<H: Traced, E: Element>(
@@ -310,8 +355,14 @@ impl Session {
         }
     }
 
+    /// Each run has topics of its own: iceoryx2 removes the files of a topic by its name once the last process leaves it, and
+    /// an observer may outlive its run.
     fn service_name(&self, topic: &'static str) -> Result<ServiceName, SessionError> {
-        ServiceName::new(topic).map_err(|error| self.port_error(topic, &error))
+        let name = match &self.run {
+            Some(run) => format!("{topic}.{}", run.began_ns),
+            None => topic.to_owned(),
+        };
+        ServiceName::new(&name).map_err(|error| self.port_error(topic, &error))
     }
 
     pub(crate) fn port_error(&self, topic: &'static str, reason: &dyn Debug) -> SessionError {
@@ -323,6 +374,7 @@ impl Session {
 #[derive(Debug)]
 pub struct SessionLock {
     _claim: Claim,
+    run: Run,
 }
 
 /// Why a session cannot be taken.
@@ -358,10 +410,9 @@ impl SessionLock {
     ///
     /// [`SessionLockError::InUse`] while another process holds it.
     pub fn take(session: &SessionName) -> Result<SessionLock, SessionLockError> {
-        let folder = runtime_folder()?;
-        let card = folder.path().to_string_lossy();
-        match Claim::take(&session.claim_of(own_user()), &card) {
-            Ok(claim) => Ok(SessionLock { _claim: claim }),
+        let run = Run { began_ns: now_ns(), folder: runtime_folder()?.path().to_owned() };
+        match Claim::take(&session.claim_of(own_user()), &run.to_card()) {
+            Ok(claim) => Ok(SessionLock { _claim: claim, run }),
             Err(ClaimError::Held(holder)) => {
                 let holder = match holder {
                     Some(Holder { process_id, user, .. }) if user == own_user() => {
@@ -387,8 +438,8 @@ impl SessionLock {
     ///
     /// [`PathError`] when it cannot be written.
     pub fn keep_configuration(&self, session: &SessionName, configuration: &str) -> Result<(), PathError> {
-        let file = session.configuration_file(std::process::id() as i32);
-        runtime_folder()?.write(&file, configuration.as_bytes())
+        PrivateFolder::open(&self.run.folder)?
+            .write(&session.configuration_file(&self.run), configuration.as_bytes())
     }
 }
 

@@ -38,8 +38,11 @@ impl CalibrationPage {
             return Ok(None);
         }
         let received = Handover::received().map_err(Failure::input)?;
-        let before = received.as_ref().and_then(|handover| handover.page.as_ref());
-        let mut page = Page::start(&options.page, config, before, errors).map_err(Failure::running)?;
+        let Some(page) =
+            Page::start(&options.page, config, received.as_ref(), errors).map_err(Failure::running)?
+        else {
+            return Ok(None);
+        };
         let run = received.map_or_else(|| session_with_the_same_settings(options), |handover| handover.run);
         let is_there = page.wait_until_there();
         Ok(is_there.then(|| CalibrationPage { page, run, errors: errors.clone() }))
@@ -69,7 +72,13 @@ impl CalibrationPage {
         };
         let command_line = page.hold(events, errors, after)?;
         let session = config.session.clone();
-        let handover = Handover { page: page.keys().cloned(), run: run.clone(), session, is_recorded: false };
+        let handover = Handover {
+            page: page.keys().cloned(),
+            run: run.clone(),
+            is_recorded: false,
+            session,
+            socket: Some(page.socket().clone()),
+        };
         Some(Following { command_line, handover })
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
+use tendon_signal::without_unit;
 
 use super::problem::{TableError, TableProblem, error_at};
 
@@ -63,7 +64,10 @@ pub(crate) fn places(
         let column = match channel {
             Channel::Index(index) => *index,
             Channel::Name(name) => {
-                let mut found = names.iter().enumerate().filter(|(_, candidate)| *candidate == name);
+                // A name may have been given with the unit that stands in the header.
+                let is_exact = names.contains(name);
+                let wanted = if is_exact { name } else { without_unit(name) };
+                let mut found = names.iter().enumerate().filter(|(_, candidate)| *candidate == wanted);
                 let Some((column, _)) = found.next() else {
                     let problem = TableProblem::MissingName { name: name.clone(), names: names.to_vec() };
                     return Err(error_at(1, 1, problem));

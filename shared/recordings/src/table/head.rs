@@ -9,6 +9,10 @@
 //! A line belongs to the table if it has a number, and the line after it has as many cells, with numbers and words in the
 //! same places. A missing sample fits anywhere.
 
+use std::collections::HashMap;
+
+use tendon_signal::without_unit;
+
 use super::cells::{
     Cells, Line, Separator, excerpt, is_missing_sample, line_at, number, text_of, text_start, without_quotes,
 };
@@ -182,7 +186,7 @@ impl Head {
                         self.note(column, unit);
                     }
                 }
-                self.names = cells;
+                self.names = without_units(cells);
                 return left;
             }
             for (column, cell) in cells.iter().enumerate() {
@@ -383,6 +387,17 @@ fn counts_rows(table: &[HeadLine<'_>]) -> bool {
     };
     let rows: Vec<f64> = table.iter().map_while(row).collect();
     rows.len() >= 2 && rows.windows(2).all(|pair| pair[1] == pair[0] + 1.0)
+}
+
+/// Names without the units of samples in them, unless two columns would then have one name.
+fn without_units(names: Vec<String>) -> Vec<String> {
+    let mut times: HashMap<String, usize> = HashMap::new();
+    names.iter().for_each(|name| *times.entry(without_unit(name).to_owned()).or_default() += 1);
+    let is_unique = |name: &String| times[without_unit(name)] == 1;
+    names
+        .into_iter()
+        .map(|name| if is_unique(&name) { without_unit(&name).to_owned() } else { name })
+        .collect()
 }
 
 /// The cells of a line of words, in which separators may stand within quotes.
