@@ -121,7 +121,7 @@ fn doctor_lists_only_what_dead_sessions_left() {
     left.iter().for_each(|file| std::fs::write(file, "x").unwrap());
     let doctor = TendonBuilder::command(&unique_session(), &["doctor"]).end();
     let _ = left.map(std::fs::remove_file);
-    assert!(doctor.output.contains(&format!("`{dead}` is dead but holds 1 files")), "{doctor:#?}");
+    assert!(doctor.output.contains(&format!("`{dead}` is dead but holds 1 file,")), "{doctor:#?}");
     for other in [&running, &without_files] {
         assert!(!doctor.output.contains(&format!("`{other}`")), "{doctor:#?}");
     }

@@ -503,6 +503,7 @@ fn samples_that_are_no_numbers_are_replaced_counted_and_taken_for_rest() {
         assert_eq!((exit_code, errors.as_str()), (Some(0), ""));
     }
     Leftovers::remove(&lock, &name);
+    drop(lock);
     assert_nothing_left(&name);
 }
 

@@ -271,6 +271,7 @@ fn live_is_as_offline(strategy: Strategy) {
         assert_eq!(exit_code, Some(0), "{errors}");
     }
     Leftovers::remove(&lock, &name);
+    drop(lock);
     assert_nothing_left(&name);
 }
 

@@ -307,8 +307,8 @@ impl Tendon {
             let is_source = |(_, name): &(Pid, String)| name.starts_with("tendon-acqui");
             children_of(self.process.id()).iter().any(is_source).then_some(())
         });
-        self.signal(Signal::SIGSTOP);
         let session = Session::join(&self.session, "test").unwrap();
+        self.signal(Signal::SIGSTOP);
         let blocks = Subscriber::<BlockHeader, f32>::open(&session, &BLOCKS, None, Delivery::Live).unwrap();
         wait_until("the topic of the source", || blocks.connect().unwrap().then_some(()));
         disturb();

@@ -200,7 +200,7 @@ fn leftovers(findings: &mut Findings, clean: bool) {
             }
         };
         // One that ended meanwhile took its files along.
-        let left = Leftovers::of(&session);
+        let left = Leftovers::beside(&lock);
         if left.files.is_empty() {
             continue;
         }

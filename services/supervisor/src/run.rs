@@ -58,17 +58,17 @@ struct Companions {
 
 impl Companions {
     /// Starts the page and waits until it listens, before the stages: whoever has it can stop the arm before it moves for the
-    /// first time.
+    /// first time. In a session that follows on another the arm waits, and the page comes once the session has begun: browsers
+    /// wait at its socket.
     fn before_the_stages(options: &Options, config: &Config, errors: &Writer) -> Result<Companions, Failure> {
         let before = Handover::received().map_err(Failure::input)?;
-        let page = if options.page.page {
-            Page::start(&options.page, config, before.as_ref(), errors).map_err(Failure::running)?
-        } else {
-            None
-        };
-        // One that cannot listen says so, and the session goes on without it.
-        let _ = page.as_ref().map(Page::wait_until_there);
-        Ok(Companions { before, outlet: None, page })
+        let mut companions = Companions { before, outlet: None, page: None };
+        if !companions.follow_on_session() {
+            companions.start_page(options, config, errors)?;
+            // One that cannot listen says so, and the session goes on without it.
+            let _ = companions.page.as_ref().map(Page::wait_until_there);
+        }
+        Ok(companions)
     }
 
     /// Whether there was a session before, at whose page this one was asked for.
@@ -76,8 +76,19 @@ impl Companions {
         self.before.is_some()
     }
 
-    /// Starts the outlet, once the stages are ready.
-    fn start_outlet(&mut self, config: &Config, errors: &Writer) -> Result<(), Failure> {
+    fn start_page(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
+        if options.page.page {
+            let before = self.before.as_ref();
+            self.page = Page::start(&options.page, config, before, errors).map_err(Failure::running)?;
+        }
+        Ok(())
+    }
+
+    /// Starts what is missing, once the stages are ready.
+    fn start_rest(&mut self, options: &Options, config: &Config, errors: &Writer) -> Result<(), Failure> {
+        if self.follow_on_session() {
+            self.start_page(options, config, errors)?;
+        }
         let start = || Companion::start(LSL_OUTLET, config, &[], Vec::new(), Stdio::null(), |_| (), errors);
         self.outlet = config.outlets.lsl.then(start).transpose().map_err(Failure::running)?;
         Ok(())
@@ -290,7 +301,7 @@ fn watch_until_the_end(
         check_signal(config, signal).map_err(Failure::input)?;
     }
     introduce(watch, options, config, task.as_ref(), terminal);
-    companions.start_outlet(config, &terminal.errors)?;
+    companions.start_rest(options, config, &terminal.errors)?;
     if companions.before.as_ref().is_some_and(|before| before.is_recorded) {
         // What keeps it from being recorded is said by itself.
         watch.record(true);

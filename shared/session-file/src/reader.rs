@@ -289,7 +289,7 @@ impl<R: Read> Reader<R> {
             if opcode == op::MESSAGE_INDEX {
                 continue;
             }
-            match mcap::parse_record(opcode, self.framing.content(content.clone())) {
+            match parse(opcode, self.framing.content(content.clone())) {
                 Ok(McapRecord::Header(header)) if header.profile != PROFILE => break,
                 Ok(McapRecord::Header(_)) => self.has_header = true,
                 Ok(McapRecord::Attachment { header, data, .. }) => {
@@ -330,7 +330,7 @@ impl<R: Read> Reader<R> {
     fn next_of_chunk(&mut self) -> Option<(ChannelKind, Range<usize>)> {
         let records = self.chunk.as_mut()?;
         while let Some((opcode, content)) = self.framing.next_in(records) {
-            match mcap::parse_record(opcode, self.framing.content(content.clone())) {
+            match parse(opcode, self.framing.content(content.clone())) {
                 Ok(McapRecord::Channel(channel)) => {
                     let kind = CHANNELS.into_iter().find(|kind| kind.topic() == channel.topic);
                     self.channels.extend(kind.map(|kind| (channel.id, kind)));
@@ -346,6 +346,31 @@ impl<R: Read> Reader<R> {
         self.chunk = None;
         None
     }
+}
+
+/// What a record says. The crate's own function panics on an attachment that is shorter than it says.
+fn parse(opcode: u8, content: &[u8]) -> mcap::McapResult<McapRecord<'_>> {
+    if opcode == op::ATTACHMENT && !is_whole_attachment(content) {
+        return Err(mcap::McapError::UnexpectedEof);
+    }
+    mcap::parse_record(opcode, content)
+}
+
+/// Whether what an attachment says of its lengths fits into it: two times, name, media type, data, checksum.
+fn is_whole_attachment(content: &[u8]) -> bool {
+    let after_text = |text: &mut &[u8]| {
+        let (length, rest) = text.split_first_chunk::<4>()?;
+        *text = rest.get(u32::from_le_bytes(*length) as usize..)?;
+        Some(())
+    };
+    let data_length = || {
+        let mut rest = content.get(16..)?;
+        after_text(&mut rest)?;
+        after_text(&mut rest)?;
+        let (length, data) = rest.split_first_chunk::<8>()?;
+        Some((u64::from_le_bytes(*length), data.len().checked_sub(4)? as u64))
+    };
+    data_length().is_some_and(|(said, there)| said <= there)
 }
 
 /// What the file says of this channel; where the piece that says it is damaged, as [`crate::Writer`] numbers them.

@@ -258,6 +258,25 @@ fn a_chunk_of_any_damaged_length_is_left_out_alone() {
 }
 
 #[test]
+fn a_record_of_any_kind_that_is_shorter_than_it_says_is_left_out() {
+    let whole = undisturbed(2).file(1);
+    for opcode in 0..=u8::MAX {
+        for length in 0..64_usize {
+            // Zeros say that a text is empty; 255, that it is longer than the record.
+            for filling in [0, 1, 255] {
+                let mut bytes = whole[..8].to_vec();
+                bytes.push(opcode);
+                bytes.extend((length as u64).to_le_bytes());
+                bytes.extend(std::iter::repeat_n(filling, length));
+                bytes.extend(&whole[8..]);
+                let mut reader = Reader::new(bytes.as_slice(), Path::new("session.mcap"));
+                while let Ok(Some(_)) = reader.next() {}
+            }
+        }
+    }
+}
+
+#[test]
 fn blocks_alone_are_read_into_the_same_room() {
     let session = undisturbed(12);
     let file = session.file(5);

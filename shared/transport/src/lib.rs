@@ -16,6 +16,8 @@
 
 mod clock;
 mod find;
+mod leftovers;
+mod lock;
 mod publisher;
 mod session;
 mod shared_files;
@@ -24,10 +26,12 @@ mod wake;
 
 pub use clock::now_ns;
 pub use find::{FindError, find_owner};
+pub use leftovers::{Leftovers, Removed};
+pub use lock::{SessionLock, SessionLockError};
 pub use publisher::{Element, Loan, PublishError, Publisher};
 pub use session::{
-    Delivery, InvalidSessionName, Leftovers, Removed, Session, SessionError, SessionLock, SessionLockError,
-    SessionName, own_user, required_bytes, running_sessions, shared_memory_directory,
+    Delivery, InvalidSessionName, Session, SessionError, SessionName, own_user, required_bytes,
+    running_sessions, shared_memory_directory,
 };
 pub use shared_files::SharedFiles;
 pub use subscriber::{PolledSubscriber, ReceiveError, Received, Subscriber};

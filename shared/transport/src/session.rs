@@ -1,25 +1,17 @@
-//! Sessions: names that keep two runs on one machine apart, and what a run leaves behind.
+//! Sessions: names that keep two on one machine apart, and the part of a process in one.
 
 use core::fmt::{self, Debug, Display};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::time::Duration;
 
 use iceoryx2::config::Config;
-use iceoryx2::prelude::{
-    CallbackProgression, Node, NodeBuilder, NodeName, NodeState, SemanticString, ServiceName,
-    SignalHandlingMode, ipc,
-};
+use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SemanticString, ServiceName, SignalHandlingMode, ipc};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::publish_subscribe;
 use serde::{Deserialize, Serialize};
 use tendon_messages::{Topic, Traced};
-use tendon_paths::{
-    Claim, ClaimError, Holder, PathError, PrivateFolder, claimed_names, runtime_folder, runtime_folders,
-    user_name,
-};
+use tendon_paths::{Holder, PathError, PrivateFolder, claimed_names, runtime_folder};
 
-use crate::clock::now_ns;
 use crate::publisher::Element;
 
 /// Subscribers a topic can have: the next stage and observers (supervisor, `tendon latency`, recorders).
@@ -30,8 +22,6 @@ const MAXIMUM_BORROWED: usize = 2;
 const MAXIMUM_PUBLISHERS: usize = 8;
 /// Processes that can take part in a topic.
 const MAXIMUM_NODES: usize = 24;
-/// A segment of shared memory that is empty for so long has lost its maker.
-const LONGEST_EMPTY: Duration = Duration::from_secs(1);
 /// Longest path of a Unix socket: unix(7).
 const MAXIMUM_SOCKET_PATH: usize = 107;
 /// What iceoryx2 adds to folder and prefix for an event's socket: a slash, a port of 39 digits and `.event`.
@@ -87,12 +77,12 @@ impl Display for SessionName {
 impl SessionName {
     /// What the names of this user's shared-memory files for this session start with. The dots cannot be part of a
     /// session name, so no prefix is the start of another.
-    fn prefix(&self) -> String {
+    pub(crate) fn prefix(&self) -> String {
         format!("{}.", self.claim_of(own_user()))
     }
 
     /// The name in the kernel that the supervisor of this session holds, if `user` runs it.
-    fn claim_of(&self, user: u32) -> String {
+    pub(crate) fn claim_of(&self, user: u32) -> String {
         format!("tendon.{user}.{}", self.0)
     }
 
@@ -107,13 +97,18 @@ impl SessionName {
         shared_memory_directory().join(format!("{}{ending}", self.prefix()))
     }
 
+    /// Name of the file in the run-time folder that says which run of this session goes on.
+    pub(crate) fn run_file(&self) -> String {
+        format!("{}run", self.prefix())
+    }
+
     /// Name of the file in the run-time folder in which a supervisor keeps the configuration of a run.
-    fn configuration_file(&self, run: &Run) -> String {
+    pub(crate) fn configuration_file(&self, run: &Run) -> String {
         format!("{}configuration.{}", self.prefix(), run.began_ns)
     }
 
     /// iceoryx2's configuration for this session, whose run-time state lies in `folder`.
-    fn config(&self, folder: &Path) -> Config {
+    pub(crate) fn config(&self, folder: &Path) -> Config {
         let mut config = Config::default();
         config.global.set_root_path(
             &iceoryx2::prelude::Path::new(folder.as_os_str().as_encoded_bytes())
@@ -128,27 +123,30 @@ impl SessionName {
         config.global.service.cleanup_dead_nodes_on_open = false;
         config
     }
+
+    /// When the run began that goes on or was broken off; `None` where nobody supervises, as in tests and benchmarks.
+    fn began_ns(&self, folder: &PrivateFolder) -> Result<Option<u64>, PathError> {
+        let said = folder.read(&self.run_file())?;
+        Ok(said.and_then(|text| String::from_utf8_lossy(&text).parse().ok()))
+    }
+
+    /// Where the run-time state of this user's session lies: where its supervisor says, if one runs, whatever this
+    /// process's own environment says.
+    fn folder(&self) -> Result<PrivateFolder, PathError> {
+        match self.supervisor(own_user()).filter(|supervisor| !supervisor.card.is_empty()) {
+            Some(supervisor) => PrivateFolder::open(Path::new(&supervisor.card)),
+            None => runtime_folder(),
+        }
+    }
 }
 
-/// One run of a session, as its supervisor says on the card of its claim. The next session of this name is another run.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Run {
-    /// When the supervisor took the session, ns of the monotonic clock.
-    began_ns: u64,
+/// One run of a session. The next session of this name is another run.
+#[derive(Debug)]
+pub(crate) struct Run {
+    /// When the supervisor took the session, ns of the monotonic clock. A file in the folder says so while the run goes on.
+    pub(crate) began_ns: u64,
     /// Where the run-time state of the session lies.
-    folder: PathBuf,
-}
-
-impl Run {
-    fn to_card(&self) -> String {
-        format!("{} {}", self.began_ns, self.folder.display())
-    }
-
-    /// `None` for a card that is empty, since its supervisor hangs, or of another version.
-    fn on_card(card: &str) -> Option<Run> {
-        let (began_ns, folder) = card.split_once(' ')?;
-        Some(Run { began_ns: began_ns.parse().ok()?, folder: folder.into() })
-    }
+    pub(crate) folder: PrivateFolder,
 }
 
 /// The user that this process acts for.
@@ -193,17 +191,6 @@ pub enum SessionError {
         session: SessionName,
         /// iceoryx2's own word.
         reason: String,
-    },
-    /// The supervisor hangs.
-    #[error(
-        "session `{session}`: its supervisor, process {process_id}, does not answer: let it go on (kill -CONT {process_id}), or \
-         end it"
-    )]
-    Silent {
-        /// Session name.
-        session: SessionName,
-        /// The supervisor.
-        process_id: i32,
     },
     /// A topic could not be opened.
     #[error(
@@ -264,20 +251,11 @@ impl Session {
     ///
     /// # Errors
     ///
-    /// [`SessionError::Silent`] while the supervisor hangs; [`SessionError::Join`] when iceoryx2 cannot create its node.
+    /// [`SessionError::Join`] when iceoryx2 cannot create its node.
     pub fn join(name: &SessionName, process: &str) -> Result<Session, SessionError> {
         iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Fatal);
-        let run = match name.supervisor(own_user()) {
-            Some(Holder { process_id, card, .. }) => {
-                let silent = || SessionError::Silent { session: name.clone(), process_id };
-                Some(Run::on_card(&card).ok_or_else(silent)?)
-            }
-            None => None,
-        };
-        let folder = match &run {
-            Some(run) => PrivateFolder::open(&run.folder)?,
-            None => runtime_folder()?,
-        };
+        let folder = name.folder()?;
+        let began_ns = name.began_ns(&folder)?;
         if folder.path().as_os_str().len() + name.prefix().len() + SOCKET_NAME_LENGTH > MAXIMUM_SOCKET_PATH {
             return Err(SessionError::NameTooLong(name.clone()));
         }
@@ -289,16 +267,17 @@ impl Session {
             .config(&name.config(folder.path()))
             .create::<ipc::Service>()
             .map_err(|error| join_error(&error))?;
+        let run = began_ns.map(|began_ns| Run { began_ns, folder });
         Ok(Session { name: name.clone(), run, node })
     }
 
     /// Whether the run that this process joined still goes on: `false` once it has ended, even if another of the same name
     /// has begun.
     pub fn is_running(&self) -> bool {
-        self.name.supervisor(own_user()).is_some_and(|supervisor| {
-            // One that hangs has not ended.
-            supervisor.card.is_empty() || self.run == Run::on_card(&supervisor.card)
-        })
+        let Some(run) = &self.run else { return false };
+        let began_ns = self.name.began_ns(&run.folder).ok().flatten();
+        // Who deletes the folder does not end the session.
+        self.name.supervisor(own_user()).is_some() && began_ns.is_none_or(|began_ns| began_ns == run.began_ns)
     }
 
     /// The session's name.
@@ -313,7 +292,7 @@ impl Session {
     /// [`PathError`] when it cannot be read, or is not to be trusted.
     pub fn configuration(&self) -> Result<Option<String>, PathError> {
         let Some(run) = &self.run else { return Ok(None) };
-        let kept = PrivateFolder::open(&run.folder)?.read(&self.name.configuration_file(run))?;
+        let kept = run.folder.read(&self.name.configuration_file(run))?;
         Ok(kept.map(|text| String::from_utf8_lossy(&text).into_owned()))
     }
 
@@ -370,207 +349,10 @@ impl Session {
     }
 }
 
-/// The right to be the one supervisor of a session; given back when dropped or when the process dies.
-#[derive(Debug)]
-pub struct SessionLock {
-    _claim: Claim,
-    run: Run,
-}
-
-/// Why a session cannot be taken.
-#[derive(Debug, thiserror::Error)]
-pub enum SessionLockError {
-    /// Another supervisor runs it.
-    #[error(
-        "session `{session}` is in use by {holder}: stop that one, or choose another name (--set session=NAME)"
-    )]
-    InUse {
-        /// Session name.
-        session: SessionName,
-        /// The other supervisor: process and, if it is another's, user.
-        holder: String,
-    },
-    /// The system refused.
-    #[error("cannot take session `{session}`")]
-    System {
-        /// Session name.
-        session: SessionName,
-        /// The system's reason.
-        source: ClaimError,
-    },
-    /// There is no place for run-time state.
-    #[error(transparent)]
-    Folder(#[from] PathError),
-}
-
-impl SessionLock {
-    /// Takes the session. No file stands for it, so nobody can remove it; the kernel knows who holds it.
-    ///
-    /// # Errors
-    ///
-    /// [`SessionLockError::InUse`] while another process holds it.
-    pub fn take(session: &SessionName) -> Result<SessionLock, SessionLockError> {
-        let run = Run { began_ns: now_ns(), folder: runtime_folder()?.path().to_owned() };
-        match Claim::take(&session.claim_of(own_user()), &run.to_card()) {
-            Ok(claim) => Ok(SessionLock { _claim: claim, run }),
-            Err(ClaimError::Held(holder)) => {
-                let holder = match holder {
-                    Some(Holder { process_id, user, .. }) if user == own_user() => {
-                        format!("process {process_id}")
-                    }
-                    Some(Holder { process_id, user, .. }) => {
-                        format!("process {process_id} of {}", user_name(user))
-                    }
-                    None => "another process".to_owned(),
-                };
-                Err(SessionLockError::InUse { session: session.clone(), holder })
-            }
-            Err(source) => Err(SessionLockError::System { session: session.clone(), source }),
-        }
-    }
-}
-
-impl SessionLock {
-    /// Keeps the session's configuration where observers that it did not start find it. It goes with the session's other
-    /// leftovers.
-    ///
-    /// # Errors
-    ///
-    /// [`PathError`] when it cannot be written.
-    pub fn keep_configuration(&self, session: &SessionName, configuration: &str) -> Result<(), PathError> {
-        PrivateFolder::open(&self.run.folder)?
-            .write(&session.configuration_file(&self.run), configuration.as_bytes())
-    }
-}
-
-/// Files that this user's sessions have in shared memory and in the folders of run-time state.
-#[derive(Debug, Default)]
-pub struct Leftovers {
-    /// Paths of the files.
-    pub files: Vec<PathBuf>,
-    /// Their size in bytes.
-    pub bytes: u64,
-}
-
-/// What became of the files that a session left behind.
-#[derive(Debug, Default)]
-pub struct Removed {
-    /// How many are gone.
-    pub files: usize,
-    /// Those that could not be removed.
-    pub kept: Vec<PathBuf>,
-}
-
-impl Leftovers {
-    /// What `session` has there at the moment, alive or not.
-    pub fn of(session: &SessionName) -> Leftovers {
-        Leftovers::with_prefix(&session.prefix())
-    }
-
-    /// What all sessions of this user have there, those in use included.
-    pub fn of_all_sessions() -> Leftovers {
-        Leftovers::with_prefix(&format!("tendon.{}.", own_user()))
-    }
-
-    fn with_prefix(prefix: &str) -> Leftovers {
-        let mut leftovers = Leftovers::default();
-        let mut folders = vec![shared_memory_directory().to_owned()];
-        folders.extend(runtime_folders().iter().map(|folder| folder.path().to_owned()));
-        while let Some(folder) = folders.pop() {
-            let Ok(entries) = std::fs::read_dir(&folder) else { continue };
-            for entry in entries.flatten() {
-                let path = entry.path();
-                let is_in_memory = path.starts_with(shared_memory_directory());
-                // Of the entry itself: links are not followed.
-                match entry.metadata() {
-                    Ok(metadata) if metadata.is_dir() && !is_in_memory => folders.push(path),
-                    Ok(metadata) if entry.file_name().to_string_lossy().starts_with(prefix) => {
-                        leftovers.bytes += metadata.len();
-                        leftovers.files.push(path);
-                    }
-                    _ => {}
-                }
-            }
-        }
-        leftovers
-    }
-
-    /// The sessions that these files belong to.
-    pub fn sessions(&self) -> Vec<SessionName> {
-        let mut names: Vec<SessionName> = Vec::new();
-        for file in &self.files {
-            let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-            let session = name.split('.').nth(2).and_then(|name| name.parse().ok());
-            if let Some(session) = session.filter(|session| !names.contains(session)) {
-                names.push(session);
-            }
-        }
-        names
-    }
-
-    /// Removes everything `session` left behind. The caller holds its [`SessionLock`] and has reaped all of
-    /// its processes: files of living ones would be pulled from under them.
-    pub fn remove(_lock: &SessionLock, session: &SessionName) -> Removed {
-        let before = Leftovers::of(session).files.len();
-        Leftovers::remove_empty_segments(session, Duration::ZERO);
-        // Then iceoryx2's own way, which knows in which order things go; then what even that left.
-        Leftovers::remove_dead_nodes(session);
-        for file in Leftovers::of(session).files {
-            // What vanishes meanwhile needs no removing; what resists is counted below.
-            let _ = std::fs::remove_file(file);
-        }
-        let kept = Leftovers::of(session).files;
-        Removed { files: before.saturating_sub(kept.len()), kept }
-    }
-
-    /// A process that was killed while it made a segment of shared memory leaves it empty, and iceoryx2 0.10 would wait
-    /// for ever for it to be filled. A living one fills it within microseconds.
-    fn remove_empty_segments(session: &SessionName, older_than: Duration) {
-        for file in Leftovers::of(session).files {
-            let is_left_empty = std::fs::metadata(&file).is_ok_and(|metadata| {
-                let age = metadata.modified().ok().and_then(|modified| modified.elapsed().ok());
-                metadata.is_file() && metadata.len() == 0 && age.unwrap_or_default() >= older_than
-            });
-            if is_left_empty && file.starts_with(shared_memory_directory()) {
-                let _ = std::fs::remove_file(file);
-            }
-        }
-    }
-
-    /// Removes what dead processes left in `session` while others live in it: their ports give way to those of the
-    /// processes that stand in for them. The dead must have been reaped. What cannot be removed now goes with the
-    /// session.
-    pub fn remove_of_the_dead(session: &SessionName) {
-        Leftovers::remove_empty_segments(session, LONGEST_EMPTY);
-        Leftovers::remove_dead_nodes(session);
-    }
-
-    fn remove_dead_nodes(session: &SessionName) {
-        for folder in runtime_folders() {
-            let _ = Node::<ipc::Service>::list(&session.config(folder.path()), |state| {
-                if let NodeState::Dead(dead) = state {
-                    let _ = dead.try_remove_stale_resources();
-                }
-                CallbackProgression::Continue
-            });
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
-
-    #[test]
-    fn two_supervisors_cannot_take_one_session() {
-        let name: SessionName = format!("lock-{}", std::process::id()).parse().unwrap();
-        let lock = SessionLock::take(&name).unwrap();
-        let error = SessionLock::take(&name).unwrap_err();
-        assert!(error.to_string().contains(&format!("in use by process {}", std::process::id())), "{error}");
-        drop(lock);
-        SessionLock::take(&name).unwrap();
-    }
 
     proptest! {
         #[test]
