@@ -9,7 +9,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
-use serde::Serialize;
 use tendon_classifier::{Classifier, default_model_file, model_beside_program, runtime_library};
 use tendon_config::Config;
 use tendon_dataset::{DatasetSettings, list};
@@ -21,25 +20,13 @@ use tendon_recordings::{Channel, RecordedSession, Recorder};
 use tendon_session::Writer;
 
 use super::round::{Live, RoundEnd};
+use super::scores::CheckScores;
 use super::status::Phase;
 use crate::Failure;
 use crate::personal::recorded_settings;
 
 /// What the folder of a check round ends with.
 const ENDING: &str = "-check";
-
-/// Shares of the windows of a check round that were recognised.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CheckScores {
-    /// What recognises them without this calibration, in words: the person of before, or a network; `None` if nothing fits.
-    pub before_by: Option<String>,
-    /// The share without it; every gesture counts the same.
-    pub before: Option<f64>,
-    /// The share with the calibration.
-    pub after: f64,
-    /// The same by gesture.
-    pub after_by_gesture: BTreeMap<Gesture, f64>,
-}
 
 /// A check round.
 pub struct CheckRound<'a> {

@@ -6,76 +6,40 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
-use clap::Args;
-use tendon_config::{Config, Gestures, Source};
-use tendon_gesture::Gesture;
+use tendon_config::Config;
 use tendon_guide::{Guide, GuideSettings};
 use tendon_output::OutputFile;
 use tendon_people::{People, Person};
 use tendon_process::SignalDescription;
 use tendon_provenance::Provenance;
-use tendon_recordings::{RecordedSession, Recorder};
+use tendon_recordings::Recorder;
 use tendon_session::{AcquisitionWatch, Event, Keyboard, Keys, RobotLine, Writer, stop_on_signals};
 use tendon_transport::{Leftovers, SessionLock};
 
 use super::board::StatusBoard;
-use super::check::{CheckRound, CheckScores};
+use super::check::CheckRound;
+use super::fit::{Fitted, Selection, fit};
 use super::learnt::PageReport;
+use super::options::Options;
 use super::page::CalibrationPage;
+use super::plan::Plan;
 use super::recording::Recording;
+use super::report::report;
 use super::round::{Attendance, Live, RoundEnd};
+use super::scores::CheckScores;
 use super::status::{CalibrationStatus, Phase};
-use super::{Fitted, Selection, fit, report, update};
-use crate::channels::ask_for;
+use super::update;
 use crate::next::Following;
-use crate::personal::{WINDOWS, check_simulated, is_simulated, personal_windows};
-use crate::times::duration;
 use crate::{Failure, TERMINAL_TIMEOUT, checks};
 
 /// What the keys do.
 const KEYS: &str = "keys: Enter or space go on, r the last gesture again, q stop (what was recorded is kept)";
 
-/// What can be said of a guided calibration.
-#[derive(Debug, Args)]
-pub struct GuidedOptions {
-    /// Then ask for each gesture once more, and say how well it is recognised with the calibration, and by what was there
-    /// without it.
-    #[arg(long, conflicts_with = "from")]
-    check: bool,
-    /// Ask for this gesture alone, in place of what the recording of the calibration has of it. `rest` is 5 s of
-    /// it, in place of all rest.
-    #[arg(long, value_name = "GESTURE", conflicts_with_all = ["from", "gestures"])]
-    pub(super) redo: Option<Gesture>,
-    /// Correct the person for a new day or electrodes that sit a little differently: a few seconds of rest and of each
-    /// gesture (18 s for five gestures) move the person by the step that they show.
-    #[arg(long, conflicts_with_all = ["from", "gestures", "repetitions", "redo", "replace"])]
-    pub(super) update: bool,
-    /// How long to rest at the beginning [default: 5s].
-    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
-    rest: Option<Duration>,
-    /// How long each gesture is held [default: 5s].
-    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
-    hold: Option<Duration>,
-    /// How long to rest before each gesture [default: 4s].
-    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "from")]
-    pause: Option<Duration>,
-}
-
-impl GuidedOptions {
-    /// The times again, a word each.
-    pub fn times(&self) -> Vec<String> {
-        let times = [("--rest", self.rest), ("--hold", self.hold), ("--pause", self.pause)];
-        let given = times.into_iter().filter_map(|(option, time)| Some((option, time?)));
-        given.map(|(option, time)| format!("{option}={}", humantime::format_duration(time))).collect()
-    }
-}
-
 /// Guides a person through a calibration, fits and keeps them; gives what is to follow.
 pub fn calibrate(
-    options: &super::Options,
+    options: &Options,
     people: &People,
     json: Option<&OutputFile>,
     begun: Provenance,
@@ -83,20 +47,11 @@ pub fn calibrate(
     let plan = Plan::of(options, people).map_err(Failure::input)?;
     let session = plan.config.session.clone();
     let lock = SessionLock::take(&session).map_err(Failure::input)?;
-    Leftovers::remove(&lock, &session);
-    let kept = lock.keep_configuration(&session, &plan.config.to_toml()).map_err(Failure::input);
+    Leftovers::remove(&lock);
+    let kept = lock.keep_configuration(&plan.config.to_toml()).map_err(Failure::input);
     let result = kept.and_then(|()| attend(plan, begun, json));
-    Leftovers::remove(&lock, &session);
+    Leftovers::remove(&lock);
     result
-}
-
-/// Looks whether a calibration with these options could begin.
-///
-/// # Errors
-///
-/// Why not.
-pub fn check(options: &super::Options, people: &People) -> anyhow::Result<()> {
-    Plan::of(options, people).map(drop)
 }
 
 /// Carries out a calibration and says what came of it: on the terminal, and on the page, which stays until somebody goes on from
@@ -122,7 +77,7 @@ fn attend(
     let has_page = page.is_some() && options.page.takes_orders();
     let attendance = Attendance { has_keys, has_page };
     let place = Place { errors: &errors, board: &board, robot: &robot, sender: &sender, events: &events };
-    let learnt = plan.carry_out(begun, &place, attendance);
+    let learnt = carry_out(plan, begun, &place, attendance);
     show_end(&board, &learnt);
     errors.end_live();
     let _ = errors.finish(TERMINAL_TIMEOUT);
@@ -143,64 +98,27 @@ fn attend(
     following.map_or_else(|| result.map(|()| None), |following| Ok(Some(following)))
 }
 
-/// A calibration as it is asked for. Nothing of it has begun.
-struct Plan<'a> {
-    options: &'a super::Options,
-    people: &'a People,
-    config: Config,
-    guide: GuideSettings,
-    /// The person who is to be updated.
-    updated: Option<Person>,
-    /// What a gesture is added to.
-    redone: Option<Recording>,
-}
-
-impl Plan<'_> {
-    /// What these options ask for.
-    fn of<'a>(options: &'a super::Options, people: &'a People) -> anyhow::Result<Plan<'a>> {
-        let name = &options.name;
-        let is_redo = options.guided.redo.is_some();
-        let updated = options.guided.update.then(|| people.find(name)).transpose()?;
-        if !options.replace && !is_redo && updated.is_none() {
-            people.check_new(name)?;
-        }
-        let mut config = configuration(options)?;
-        if let Some(person) = &updated {
-            config.dsp.windows.window_samples = person.signal.window_samples;
-            ask_for(&mut config.acquisition, &person.signal.channels, &person.signal.unit);
-            update::check_signal(person, &config)?;
-        }
-        let guide = guide_settings(options, &config, updated.as_ref())?;
-        let redone = is_redo.then(|| Recording::to_redo(people, name, &config)).transpose()?;
-        if let Some(recording) = &redone {
-            let RecordedSession { channels, unit, .. } = recording.session();
-            ask_for(&mut config.acquisition, channels, unit);
-        }
-        Ok(Plan { options, people, config, guide, updated, redone })
-    }
-
-    /// Starts the source and follows the person. Gives nothing if somebody said stop.
-    fn carry_out(
-        self,
-        begun: Provenance,
-        place: &Place<'_>,
-        attendance: Attendance,
-    ) -> Result<Option<Learnt>, Failure> {
-        let Plan { options, people, config, guide, updated, redone } = self;
-        let source = checks::source(&config).map_err(Failure::input)?;
-        let recording = redone.map_or_else(
-            || Recording::new((people, &options.name), updated.is_some(), &config, &source, &begun),
-            Ok,
-        );
-        let recording = recording.map_err(Failure::input)?;
-        let updated = updated.as_ref();
-        let calibration = Calibration { options, people, config: &config, guide, begun, updated };
-        let channels = recording.session().channels.clone();
-        with_source(&config, &channels, place, attendance, |live, signal| {
-            let recording = recording.of_signal(signal).map_err(Failure::input)?;
-            calibration.follow(live, recording, place.errors)
-        })
-    }
+/// Starts the source and follows the person. Gives nothing if somebody said stop.
+fn carry_out(
+    plan: Plan<'_>,
+    begun: Provenance,
+    place: &Place<'_>,
+    attendance: Attendance,
+) -> Result<Option<Learnt>, Failure> {
+    let Plan { options, people, config, guide, updated, redone } = plan;
+    let source = checks::source(&config).map_err(Failure::input)?;
+    let recording = redone.map_or_else(
+        || Recording::new((people, &options.name), updated.is_some(), &config, &source, &begun),
+        Ok,
+    );
+    let recording = recording.map_err(Failure::input)?;
+    let updated = updated.as_ref();
+    let calibration = Calibration { options, people, config: &config, guide, begun, updated };
+    let channels = recording.session().channels.clone();
+    with_source(&config, &channels, place, attendance, |live, signal| {
+        let recording = recording.of_signal(signal).map_err(Failure::input)?;
+        calibration.follow(live, recording, place.errors)
+    })
 }
 
 /// Shows what came of a calibration.
@@ -220,7 +138,7 @@ fn show_end(board: &StatusBoard, learnt: &Result<Option<Learnt>, Failure>) {
 
 /// A calibration that is under way.
 struct Calibration<'a> {
-    options: &'a super::Options,
+    options: &'a Options,
     people: &'a People,
     config: &'a Config,
     guide: GuideSettings,
@@ -325,58 +243,6 @@ impl Calibration<'_> {
         let replace = if self.people.file_of(name).exists() { " --replace" } else { "" };
         format!("what was recorded is kept; to fit it: tendon calibrate {name} --from {folder}{replace}")
     }
-}
-
-/// The configuration of the source, with a person's windows; a simulated person follows the cues.
-fn configuration(options: &super::Options) -> anyhow::Result<Config> {
-    let mut config = personal_windows(options.base.configuration()?, options.base.sets(WINDOWS));
-    ensure!(
-        config.acquisition.source != Source::Replay,
-        "a recording cannot follow cues: calibrate with it by --from, or set acquisition.source to another source"
-    );
-    config.acquisition.simulate.gestures = Gestures::Keyboard;
-    Ok(config)
-}
-
-/// What is asked.
-fn guide_settings(
-    options: &super::Options,
-    config: &Config,
-    updated: Option<&Person>,
-) -> anyhow::Result<GuideSettings> {
-    let default = if updated.is_some() { update::guide_settings() } else { GuideSettings::default() };
-    let guided = &options.guided;
-    let known = updated.map_or_else(|| config.decision.gestures.clone(), Person::gesture_set);
-    let gestures = match (guided.redo, &options.gestures[..]) {
-        (Some(Gesture::REST), _) => Vec::new(),
-        (Some(gesture), _) => vec![gesture],
-        (None, []) => known.iter().filter(|gesture| *gesture != Gesture::REST).collect(),
-        (None, gestures) => {
-            gestures.iter().copied().filter(|gesture| *gesture != Gesture::REST).collect::<Vec<_>>()
-        }
-    };
-    let seconds = |given: Option<Duration>, default_s| given.map_or(default_s, |given| given.as_secs_f64());
-    let settings = GuideSettings {
-        gestures,
-        repetitions: options.repetitions.unwrap_or(default.repetitions),
-        rest_s: seconds(guided.rest, default.rest_s),
-        hold_s: seconds(guided.hold, default.hold_s),
-        pause_s: seconds(guided.pause, default.pause_s),
-    };
-    if guided.redo == Some(Gesture::REST) {
-        ensure!(
-            !guided.check,
-            "--redo rest asks for no gesture, so --check has none to score: leave one of the two out"
-        );
-        settings.check_rest_alone()?;
-    } else {
-        settings.check()?;
-    }
-    if is_simulated(config) {
-        let whose = if updated.is_some() { options.name.as_str() } else { "the calibration" };
-        check_simulated(config, whose, &settings.gestures)?;
-    }
-    Ok(settings)
 }
 
 /// Refuses to take gestures from a person who has them: the newest recording was broken off, or is of fewer gestures.

@@ -1,13 +1,14 @@
 //! What a calibration has learnt, as the page shows it.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Serialize;
 use tendon_gesture::Gesture;
 use tendon_people::{Finding, Person};
 
-use super::check::CheckScores;
-use super::status::InWords;
+use super::in_words::InWords;
+use super::scores::CheckScores;
 
 /// What was learnt of a person. Shares are from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -61,6 +62,15 @@ struct CheckReport {
     before: Option<f64>,
     /// With it.
     after: f64,
+    /// The same by gesture.
+    after_by_gesture: BTreeMap<Gesture, f64>,
+}
+
+impl CheckReport {
+    fn of(scores: &CheckScores) -> CheckReport {
+        let CheckScores { before, after, after_by_gesture, .. } = scores;
+        CheckReport { before: *before, after: *after, after_by_gesture: after_by_gesture.clone() }
+    }
 }
 
 impl PageReport {
@@ -84,7 +94,7 @@ impl PageReport {
             channels: channels.collect(),
             findings: person.findings.iter().map(InWords::of).collect(),
             confusion: ConfusionReport { gestures: names, counts },
-            check: check.map(|check| CheckReport { before: check.before, after: check.after }),
+            check: check.map(CheckReport::of),
             file: file.display().to_string(),
         }
     }

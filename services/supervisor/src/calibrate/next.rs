@@ -10,7 +10,7 @@ use tendon_gesture::Gesture;
 use tendon_people::{People, PersonName};
 use tendon_process::NextCalibration;
 
-use super::guided::check;
+use super::plan::check;
 use crate::configuration::Base;
 use crate::{Command, next, page};
 

@@ -12,8 +12,8 @@ use tendon_config::Config;
 use tendon_process::{Next, NextCalibration};
 use tendon_session::{Event, Writer};
 
-use super::Options;
 use super::next::command_line;
+use super::options::Options;
 use crate::Failure;
 use crate::next::{Following, Handover, session_after, session_again, strategy_of};
 use crate::page::Page;

@@ -18,7 +18,8 @@ use tendon_session::{AcquisitionWatch, Heard, Writer};
 use tendon_transport::Received;
 
 use super::board::StatusBoard;
-use super::status::{CalibrationStatus, InWords, May, Phase, asked};
+use super::in_words::InWords;
+use super::status::{CalibrationStatus, May, Phase, asked};
 use crate::Failure;
 
 /// Longest time between two looks at keys and blocks: less than their topic holds.

@@ -10,6 +10,7 @@ use tendon_gesture::Gesture;
 use tendon_guide::{Ask, Cue, Trouble};
 use tendon_people::PersonName;
 
+use super::in_words::InWords;
 use super::learnt::PageReport;
 
 /// Width of a bar, in characters.
@@ -50,21 +51,6 @@ pub enum May {
     Redo,
     /// End it.
     Stop,
-}
-
-/// Something that the page says in its own language, beside its English text.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct InWords<T> {
-    text: String,
-    #[serde(flatten)]
-    what: T,
-}
-
-impl<T: Clone + ToString> InWords<T> {
-    /// With the text that it has.
-    pub fn of(what: &T) -> InWords<T> {
-        InWords { text: what.to_string(), what: what.clone() }
-    }
 }
 
 /// A calibration as it is now. Shares are from 0 to 1.

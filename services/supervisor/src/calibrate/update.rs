@@ -10,17 +10,17 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context, ensure};
-use serde::Serialize;
 use tendon_config::Config;
 use tendon_dataset::list;
 use tendon_evaluation::{LeftOut, PersonWindows};
 use tendon_guide::GuideSettings;
-use tendon_people::{ChannelShift, Person};
+use tendon_people::Person;
 use tendon_provenance::Provenance;
 use tendon_recordings::RecordedSession;
 
-use super::Fitted;
 use super::check::{mean, recognised};
+use super::fit::Fitted;
+use super::scores::UpdateScores;
 use crate::personal::recorded_settings;
 
 /// How long a gesture is held, and how long the rest before it is, s.
@@ -28,17 +28,6 @@ const HOLD_S: f64 = 1.5;
 const PAUSE_S: f64 = 1.5;
 /// Rest at the beginning, s.
 const REST_S: f64 = 3.0;
-
-/// What an update changed.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct UpdateScores {
-    /// Share of the windows of the update that the person recognised before it; every gesture counts the same.
-    pub before: f64,
-    /// The same after it. The update was made of these windows, so expect less of others.
-    pub after: f64,
-    /// How much stronger each channel is than in the calibration.
-    pub channels: Vec<ChannelShift>,
-}
 
 /// What is asked, where the options do not say otherwise.
 pub fn guide_settings() -> GuideSettings {
