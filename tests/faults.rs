@@ -309,7 +309,7 @@ fn commands_of_a_decision_process_that_began_anew_stop_the_arm_whoever_started_i
     let (exit_code, errors) = robot.stop();
     assert_eq!((exit_code, errors.as_str()), (Some(0), ""));
     drop((states, session));
-    Leftovers::remove(&lock, &name);
+    Leftovers::remove(&lock);
 }
 
 #[test]
@@ -502,7 +502,7 @@ fn samples_that_are_no_numbers_are_replaced_counted_and_taken_for_rest() {
         let (exit_code, errors) = stage.stop();
         assert_eq!((exit_code, errors.as_str()), (Some(0), ""));
     }
-    Leftovers::remove(&lock, &name);
+    Leftovers::remove(&lock);
     drop(lock);
     assert_nothing_left(&name);
 }

@@ -270,7 +270,7 @@ fn live_is_as_offline(strategy: Strategy) {
         let (exit_code, errors) = stage.stop();
         assert_eq!(exit_code, Some(0), "{errors}");
     }
-    Leftovers::remove(&lock, &name);
+    Leftovers::remove(&lock);
     drop(lock);
     assert_nothing_left(&name);
 }

@@ -13,9 +13,9 @@ use std::time::{Duration, Instant};
 
 use nix::sys::signal::Signal;
 use tempfile::TempDir;
-use tendon_process::{Order, OrderError, order_robot};
+use tendon_process::{Answer, Order, OrderError, order_robot};
 use tendon_system_tests::{EmulatedArm, Tendon, TendonBuilder, model, unique_session, wait_until};
-use tendon_transport::{Leftovers, SessionLock, SessionName};
+use tendon_transport::{Leftovers, SessionLock, SessionName, own_user};
 
 /// How long the arm of the next session is watched: through a rest and into a gesture.
 const WATCHED: Duration = Duration::from_secs(3);
@@ -69,16 +69,20 @@ impl OwnArm {
         wait_until("motion", || (self.speed_mm_per_s() > 90.0).then_some(()));
     }
 
-    fn assert_next_session_waits(&self) {
-        wait_until("rest", || (self.speed_mm_per_s() == 0.0).then_some(()));
-        let pose = self.arm.model().report().pose;
-        let mut tendon = self.session(&unique_session()).start();
-        tendon.wait_until_running();
+    fn assert_stays_at(&self, pose: [f32; 6]) {
         let begun = Instant::now();
         while begun.elapsed() < WATCHED {
             assert_eq!(self.arm.model().report().pose, pose, "it moves by itself");
             std::thread::sleep(Duration::from_millis(20));
         }
+    }
+
+    fn assert_next_session_waits(&self) {
+        wait_until("rest", || (self.speed_mm_per_s() == 0.0).then_some(()));
+        let pose = self.arm.model().report().pose;
+        let mut tendon = self.session(&unique_session()).start();
+        tendon.wait_until_running();
+        self.assert_stays_at(pose);
         tendon.signal(Signal::SIGTERM);
         tendon.end();
         assert!(!self.has_record());
@@ -117,11 +121,11 @@ impl HeldPort {
 fn end(mut tendon: Tendon, signal: Signal, session: &SessionName) {
     tendon.signal(signal);
     tendon.end_whatever_is_left();
-    Leftovers::remove(&SessionLock::take(session).unwrap(), session);
+    Leftovers::remove(&SessionLock::take(session).unwrap());
 }
 
 /// Orders a stop as soon as the robot listens.
-fn stop_once_it_listens(session: &SessionName) -> String {
+fn stop_once_it_listens(session: &SessionName) -> Answer {
     wait_until("the robot to listen", || order_robot(session, None, Order::Stop).ok())
 }
 
@@ -167,10 +171,41 @@ fn a_stop_while_the_session_ends_is_answered_and_counts() {
 }
 
 #[test]
+fn a_key_that_stops_counts_before_there_is_a_robot_process() {
+    let (own, session) = (OwnArm::start(), unique_session());
+    let pose = own.arm.model().report().pose;
+    let terminal = nix::pty::openpty(None, None).unwrap();
+    // It is there before the program looks.
+    std::fs::File::from(terminal.master.try_clone().unwrap()).write_all(b" ").unwrap();
+    let mut tendon = own.session(&session).controlled_by(terminal.slave).start();
+    tendon.wait_until_running();
+    own.assert_stays_at(pose);
+    tendon.signal(Signal::SIGTERM);
+    tendon.end();
+    assert!(!own.has_record());
+    own.assert_next_session_waits();
+}
+
+#[test]
+fn an_order_to_stop_waits_for_the_robot_of_a_session_that_starts() {
+    let (own, session) = (OwnArm::start(), unique_session());
+    let pose = own.arm.model().report().pose;
+    let mut tendon = own.session(&session).start();
+    wait_until("the session", || session.supervisor(own_user()));
+    order_robot(&session, None, Order::Stop).unwrap();
+    tendon.wait_until_running();
+    own.assert_stays_at(pose);
+    tendon.signal(Signal::SIGTERM);
+    tendon.end();
+    assert!(!own.has_record());
+}
+
+#[test]
 fn a_stop_before_it_is_known_which_arm_is_there_counts() {
     let (own, session, held) = (OwnArm::start(), unique_session(), HeldPort::new());
     let tendon = own.session_by(&session, held.port).start();
-    assert!(stop_once_it_listens(&session).starts_with("not confirmed"));
+    let answer = stop_once_it_listens(&session);
+    assert!(!answer.ok && answer.key.as_deref() == Some("not-confirmed"), "{answer:?}");
     assert!(own.has_record());
     end(tendon, Signal::SIGINT, &session);
     assert!(!own.has_record());

@@ -236,7 +236,7 @@ fn kill_at_full_speed(victim: Victim, after: Duration) -> Duration {
             rig.tendon.end_whatever_is_left();
             assert_eq!(rig.speed_mm_per_s(), 0.0);
             drop((rig.states, rig._membership));
-            Leftovers::remove(&SessionLock::take(&rig.session).unwrap(), &rig.session);
+            Leftovers::remove(&SessionLock::take(&rig.session).unwrap());
         }
     }
     time
@@ -357,7 +357,7 @@ fn assert_stays_after_the_way(emulator: OwnArm, session: &SessionName, mut tendo
     tendon.signal(Signal::SIGCONT);
     tendon.signal(Signal::SIGTERM);
     tendon.end_whatever_is_left();
-    Leftovers::remove(&SessionLock::take(session).unwrap(), session);
+    Leftovers::remove(&SessionLock::take(session).unwrap());
     assert!(!emulator.record().exists());
     let mut rig = Rig::on(emulator, TO_AND_FRO);
     let state = wait_until("a reason to wait", || {

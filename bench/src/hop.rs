@@ -213,8 +213,8 @@ fn take_sessions() -> anyhow::Result<Vec<(SessionName, SessionLock)>> {
 }
 
 fn remove_leftovers(sessions: &[(SessionName, SessionLock)]) {
-    for (name, lock) in sessions {
-        Leftovers::remove(lock, name);
+    for (_, lock) in sessions {
+        Leftovers::remove(lock);
     }
 }
 

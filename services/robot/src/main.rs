@@ -21,13 +21,13 @@ use std::time::Duration;
 use anyhow::{Context, bail, ensure};
 use tendon_arm::{JointVector, SimulatedArm};
 use tendon_config::{Backend, Config, XArmSettings};
-use tendon_control::{Arm, ControlSettings, Controller, Departure, State, Stop, Taken};
+use tendon_control::{Arm, ControlSettings, Controller, Departure, State, Stop, StopAnswer, Taken};
 use tendon_gesture::Strategy;
 use tendon_messages::{
     COMMANDS, CommandHeader, STATE_LENGTH, STATES, Stage, StateHeader, StopReason, TWIST_LENGTH,
 };
 use tendon_paths::Claim;
-use tendon_process::{Asker, Order, STALE_NS, StageProcess, Wake};
+use tendon_process::{Answer, Asker, Order, STALE_NS, StageProcess, Wake};
 use tendon_transport::{Delivery, Publisher, Received, Subscriber, now_ns};
 
 use crate::record::Records;
@@ -290,7 +290,7 @@ impl Robot {
                 self.was_stopped = true;
                 let answer = self.controller.order_stop(now_ns());
                 if let Some(asker) = process.control.take_asker() {
-                    process.control.answer(&asker, answer.text());
+                    process.control.answer(&asker, &stop_answer(answer));
                 }
             }
             Order::Arm { seen_ns } => self.arm(process, seen_ns)?,
@@ -309,7 +309,7 @@ impl Robot {
         let asker = process.control.take_asker();
         if let Some(outdated) = self.controller.is_outdated(seen_ns, now_ns()) {
             match asker {
-                Some(asker) => process.control.answer(&asker, outdated.text()),
+                Some(asker) => process.control.answer(&asker, &not_armed(outdated.text())),
                 None => tracing::warn!("{}", outdated.text()),
             }
             return Ok(());
@@ -327,8 +327,9 @@ impl Robot {
     fn answer(&mut self, process: &mut StageProcess) {
         if let Some(answer) = self.controller.take_answer() {
             let text = answer.text(|stop| self.words(stop));
+            let answer = if answer.is_success() { Answer::done(text) } else { not_armed(text) };
             for asker in self.askers.drain(..) {
-                process.control.answer(&asker, &text);
+                process.control.answer(&asker, &answer);
             }
         }
     }
@@ -435,4 +436,17 @@ impl Robot {
         process.measurements.counts.published = self.states.published();
         Ok(())
     }
+}
+
+fn stop_answer(answer: StopAnswer) -> Answer {
+    match answer {
+        StopAnswer::Stopped => Answer::done(answer.text()),
+        StopAnswer::NotConnected | StopAnswer::ArmSilent => {
+            Answer::refused(answer.text()).with_key("not-confirmed")
+        }
+    }
+}
+
+fn not_armed(text: impl Into<String>) -> Answer {
+    Answer::refused(text).with_key("not-armed")
 }

@@ -222,7 +222,7 @@ fn leftovers(findings: &mut Findings, clean: bool) {
 }
 
 fn remove(findings: &mut Findings, lock: &SessionLock, session: &SessionName) {
-    let Removed { files, kept } = Leftovers::remove(lock, session);
+    let Removed { files, kept } = Leftovers::remove(lock);
     let finding =
         format!("session `{session}`: {} of a dead session removed", counted(files, "file", "files"));
     findings.add(Weight::Good, "leftovers", &finding);

@@ -32,9 +32,9 @@ pub fn show(failure: Failure, options: &RunOptions) -> Result<Option<Following>,
     errors.say(format!("tendon: error: {:#}", failure.error));
     // Of a configuration that could not be used the page needs the session's name alone.
     let config = Config { session: handover.session.clone(), ..Config::default() };
-    lock.keep_configuration(&config.session, &config.to_toml()).map_err(Failure::running)?;
+    lock.keep_configuration(&config.to_toml()).map_err(Failure::running)?;
     let following = hold(&failure, options, &config, handover, &errors);
-    Leftovers::remove(&lock, &config.session);
+    Leftovers::remove(&lock);
     let said_above = anyhow!("the session could not begin, as said above");
     following?.map_or(Err(Failure { error: said_above, ..failure }), |following| Ok(Some(following)))
 }

@@ -46,9 +46,11 @@ mod times;
 mod zones;
 
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::{Parser, Subcommand};
+use signal_hook::consts::SIGXFSZ;
 use tendon_process::Order;
 use tendon_session::{SessionFailure, Writer};
 use tendon_transport::now_ns;
@@ -142,6 +144,9 @@ fn go_on(following: Option<next::Following>) -> Result<(), Failure> {
 }
 
 fn main() -> ExitCode {
+    // A limit on the size of files is then an error of writing that says so, and no silent end. It fails for no signal that
+    // programs may handle.
+    let _ = signal_hook::flag::register(SIGXFSZ, Arc::default());
     let result = match Arguments::parse().command {
         Command::Run(options) => run::run(&options).and_then(go_on),
         Command::Latency(options) => latency::show(&options),

@@ -10,12 +10,14 @@ use crate::running_session::RunningSession;
 pub fn give(session: &RunningSession, order: Order) -> Result<(), Failure> {
     let answer = order_robot(&session.name, session.user()?, order).map_err(|error| match error {
         OrderError::Find(_) => Failure::input(error),
-        OrderError::NoAnswer(_) | OrderError::Socket { .. } => Failure::running(error),
+        OrderError::NoAnswer(_)
+        | OrderError::NotListening(_)
+        | OrderError::Nonsense(_)
+        | OrderError::Socket { .. } => Failure::running(error),
     })?;
-    // See `StopAnswer` and `ArmAnswer` of the robot.
-    if answer.starts_with("not armed") || answer.starts_with("not confirmed") {
-        return Err(Failure::running(anyhow::anyhow!(answer)));
+    if !answer.ok {
+        return Err(Failure::running(anyhow::anyhow!(answer.text)));
     }
-    print(answer).map_err(Failure::running)?;
+    print(answer.text).map_err(Failure::running)?;
     Ok(())
 }

@@ -205,12 +205,12 @@ fn run_configured(
     checks::outlets(config).map_err(Failure::input)?;
     let lock = SessionLock::take(&config.session).map_err(Failure::input)?;
     // What a killed session of this name left behind goes before anything is opened.
-    Leftovers::remove(&lock, &config.session);
-    lock.keep_configuration(&config.session, &config.to_toml()).map_err(Failure::input)?;
+    Leftovers::remove(&lock);
+    lock.keep_configuration(&config.to_toml()).map_err(Failure::input)?;
     let result = checks::shared_memory(config)
         .map_err(Failure::input)
         .and_then(|_| run_locked(options, config, known, terminal));
-    Leftovers::remove(&lock, &config.session);
+    Leftovers::remove(&lock);
     result
 }
 

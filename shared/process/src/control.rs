@@ -15,9 +15,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use tendon_transport::{SessionName, now_ns};
 
+use crate::answer::Answer;
 use crate::error::ProcessError;
 use crate::orders::{Asker, MAXIMUM_LINE_LENGTH, Order, OrderSocket};
 
@@ -54,6 +55,8 @@ impl Control {
     /// When the system grants no pipe or handler.
     pub fn install() -> Result<Control, ProcessError> {
         let stop = Arc::new(AtomicBool::new(false));
+        // A limit on the size of files is then an error of writing that says so, and no silent end.
+        signal_hook::flag::register(SIGXFSZ, Arc::default()).map_err(ProcessError::Signals)?;
         let (signal_pipe, signal_end) = std::io::pipe().map_err(ProcessError::Signals)?;
         for signal in [SIGINT, SIGTERM] {
             signal_hook::flag::register(signal, stop.clone()).map_err(ProcessError::Signals)?;
@@ -91,9 +94,9 @@ impl Control {
     }
 
     /// Tells somebody what came of an order.
-    pub fn answer(&mut self, asker: &Asker, text: &str) {
+    pub fn answer(&mut self, asker: &Asker, answer: &Answer) {
         if let Some(socket) = &mut self.socket {
-            socket.answer(asker, text);
+            socket.answer(asker, answer);
         }
     }
 
@@ -131,13 +134,16 @@ impl Control {
                 return Ok(Wake::Order(order));
             }
             let standard_input = std::io::stdin();
-            let socket = self.socket.as_ref().map(AsFd::as_fd);
+            let sockets = self.socket.as_ref().map(OrderSocket::descriptors).unwrap_or_default();
+            // Without a socket or an input the signals stand in for it: being stopped is asked first below.
+            let [private, public, input] =
+                [sockets[0], sockets[1], input].map(|given| given.unwrap_or(self.signal_pipe.as_fd()));
             let mut descriptors = [
                 PollFd::new(self.signal_pipe.as_fd(), PollFlags::POLLIN),
                 PollFd::new(standard_input.as_fd(), PollFlags::POLLIN),
-                // Without a socket or an input the signals stand in for it: being stopped is asked first below.
-                PollFd::new(socket.unwrap_or(self.signal_pipe.as_fd()), PollFlags::POLLIN),
-                PollFd::new(input.unwrap_or(self.signal_pipe.as_fd()), PollFlags::POLLIN),
+                PollFd::new(private, PollFlags::POLLIN),
+                PollFd::new(public, PollFlags::POLLIN),
+                PollFd::new(input, PollFlags::POLLIN),
             ];
             let timeout: Option<TimeSpec> = deadline_ns.map(|deadline_ns| {
                 std::time::Duration::from_nanos(deadline_ns.saturating_sub(now_ns())).into()
@@ -149,17 +155,26 @@ impl Control {
                 Err(error) => return Err(ProcessError::Wait(error)),
             }
             let is_ready = |descriptor: &PollFd<'_>| descriptor.any() == Some(true);
-            let [signals, orders, asked, messages] = descriptors.each_ref().map(is_ready);
+            let [signals, orders, privately, publicly, messages] = descriptors.each_ref().map(is_ready);
             if orders {
                 self.read_orders()?;
-            } else if signals {
+                continue;
+            }
+            if signals {
                 self.stop.store(true, Ordering::Relaxed);
-            } else if asked {
-                if let Some(order) = self.socket.as_mut().and_then(OrderSocket::receive) {
-                    return Ok(Wake::Order(order));
-                }
-            } else if messages {
+                continue;
+            }
+            if (privately || publicly)
+                && let Some(order) = self.socket.as_mut().and_then(OrderSocket::receive)
+            {
+                return Ok(Wake::Order(order));
+            }
+            // Whatever strangers send, messages and time go on.
+            if messages {
                 return Ok(Wake::Message);
+            }
+            if deadline_ns.is_some_and(|deadline_ns| deadline_ns <= now_ns()) {
+                return Ok(Wake::Deadline);
             }
         }
     }

@@ -11,7 +11,9 @@
 //! broke off later.
 
 mod allocations;
+mod answer;
 mod control;
+mod datagrams;
 mod error;
 mod measure;
 mod notes;
@@ -32,6 +34,7 @@ use tendon_messages::{Measured, MessageTimes, Stage, Trace, Traced};
 use tendon_transport::{Delivery, Element, Received, Session, Subscriber, now_ns};
 
 pub use allocations::allocations;
+pub use answer::Answer;
 pub use control::{Control, Wake};
 pub use error::{ProcessError, WorkError, with_causes};
 pub use measure::{BATCH_LENGTH, Measurements};
@@ -39,10 +42,10 @@ pub use notes::{LONGEST_NOTE, NoteError, NoteSocket, NoteText, leave_note};
 pub use orders::{Asker, Order, OrderError, order_robot};
 pub use page::{PAGE_VARIABLE, PageKeys, socket_variables};
 pub use requests::{
-    Answer, Asked, CalibrationRequest, GestureRequest, Next, NextCalibration, NextSession, Request,
-    RequestError, RequestSocket, ask_session, session_status,
+    Asked, CalibrationRequest, GestureRequest, Next, NextCalibration, NextSession, Request, RequestError,
+    RequestSocket, ask_session, session_status,
 };
-pub use scheduling::{Policy, RealtimeRefused, Scheduling, schedule};
+pub use scheduling::{Policy, RealtimeRefused, Scheduling, keep_off_the_stages_core, schedule};
 
 /// Age of a window's newest sample, or of a block, from which on it is not acted upon any more, in ns. Older
 /// intentions are no intentions: the person has seen since what the arm did.

@@ -10,7 +10,8 @@ use std::time::Duration;
 use nix::errno::Errno;
 use tendon_transport::{FindError, SessionName, own_user};
 
-use crate::orders::{AskError, Asker, Socket, ask};
+use crate::datagrams::{AskError, Socket, ask_by_name};
+use crate::orders::Asker;
 
 /// Longest note, bytes.
 pub const LONGEST_NOTE: usize = 2000;
@@ -122,7 +123,7 @@ pub fn leave_note(session: &SessionName, text: &str) -> Result<String, NoteError
     if text.len() > LONGEST_NOTE {
         return Err(NoteError::TooLong { length: text.len() });
     }
-    let answered = ask(&listening_name(session), own_user(), text, ANSWER_TIMEOUT, LONGEST_ANSWER);
+    let answered = ask_by_name(&listening_name(session), own_user(), text, ANSWER_TIMEOUT, LONGEST_ANSWER);
     answered.map_err(|error| match error {
         AskError::Nobody if session.supervisor(own_user()).is_none() => {
             FindError::not_running(session).into()

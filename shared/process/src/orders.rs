@@ -8,20 +8,19 @@
 //!      ◀──── what came of it ────┘
 //! ```
 
-use std::io::IoSliceMut;
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
-use std::os::linux::net::SocketAddrExt;
-use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::net::UnixDatagram;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use nix::errno::Errno;
-use nix::sys::socket::{
-    ControlMessageOwned, MsgFlags, UnixAddr, UnixCredentials, recvmsg, sendto, setsockopt, sockopt,
-};
+use nix::sys::socket::UnixAddr;
 use tendon_gesture::Gesture;
 use tendon_paths::claimed_names;
-use tendon_transport::{FindError, SessionName, find_owner, own_user};
+use tendon_transport::{FindError, SessionName, find_owner, own_user, running_sessions};
 
+use crate::answer::Answer;
+use crate::datagrams::{AskError, Socket, ask};
 use crate::error::ProcessError;
 
 /// What a stage is told to do, one line of text each.
@@ -105,8 +104,16 @@ fn parse_gesture(line: &str) -> Option<Order> {
     (0.0..=1.0).contains(&effort).then_some(Order::Gesture { gesture, effort })
 }
 
-/// Longest line of an order, and longest answer; what is longer is none of ours.
+/// Longest line of an order; what is longer is none of ours.
 pub(crate) const MAXIMUM_LINE_LENGTH: usize = 256;
+/// Longest answer, bytes.
+const LONGEST_ANSWER: usize = 4096;
+
+/// How long a stop waits for the robot of a session that is starting to listen, and the time between two looks.
+const LISTENING_TIMEOUT: Duration = Duration::from_secs(5);
+const LISTENING_LOOK: Duration = Duration::from_millis(2);
+/// Most datagrams of strangers that are passed over at a time.
+const MOST_STRANGERS: usize = 32;
 
 /// How long the robot may take to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
@@ -120,11 +127,20 @@ pub enum OrderError {
     #[error(transparent)]
     Find(#[from] FindError),
     /// The robot process is there but does not answer.
-    #[error(
-        "the robot of session `{0}` does not answer: use the arm's emergency stop button. A robot process that \
-         hangs sends nothing, and the arm comes to rest by itself"
-    )]
+    #[error("the robot of session `{0}` does not answer: use the arm's emergency stop button")]
     NoAnswer(SessionName),
+    /// The session is there, but no robot process takes orders yet, or any more.
+    #[error(
+        "session `{0}` is starting or ending, and its robot does not take orders: use the arm's emergency stop button if it \
+         moves"
+    )]
+    NotListening(SessionName),
+    /// The answer is none.
+    #[error(
+        "the robot of session `{0}` gave an answer that makes no sense, so nothing is certain: look at the arm, and use \
+         its emergency stop button. Are this program and the session of the same version?"
+    )]
+    Nonsense(SessionName),
     /// The socket could not be used.
     #[error("cannot use the socket for orders to session `{session}`")]
     Socket {
@@ -141,167 +157,67 @@ fn listening_name(user: u32, session: &SessionName) -> String {
     format!("tendon.{user}.{session}.orders")
 }
 
-/// A datagram socket that learns from the kernel who sent what it receives.
-#[derive(Debug)]
-pub(crate) struct Socket {
-    pub(crate) socket: UnixDatagram,
-    /// Room for the sender's credentials and nothing else, so that nobody can hand us descriptors.
-    control: Vec<u8>,
-}
-
-/// One datagram: its sender's user and address, and how long it is.
-pub(crate) struct Datagram {
-    pub(crate) user: u32,
-    pub(crate) sender: Option<UnixAddr>,
-    pub(crate) length: usize,
-}
-
-impl Datagram {
-    /// Whether it is from this user or root: nobody else is heard.
-    pub(crate) fn is_from_this_user_or_root(&self) -> bool {
-        self.user == own_user() || self.user == 0
-    }
-}
-
-impl Socket {
-    /// One at a name of the kernel. It is no file, so nobody can remove it.
-    pub(crate) fn at(name: &str) -> std::io::Result<Socket> {
-        Socket::new(UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(name)?)?)
-    }
-
-    fn new(socket: UnixDatagram) -> std::io::Result<Socket> {
-        setsockopt(&socket, sockopt::PassCred, &true)?;
-        Ok(Socket { socket, control: nix::cmsg_space!(UnixCredentials) })
-    }
-
-    pub(crate) fn receive(&mut self, bytes: &mut [u8]) -> nix::Result<Datagram> {
-        let mut room = [IoSliceMut::new(bytes)];
-        let flags = MsgFlags::MSG_CMSG_CLOEXEC;
-        let message =
-            recvmsg::<UnixAddr>(self.socket.as_raw_fd(), &mut room, Some(&mut self.control), flags)?;
-        let user = message.cmsgs()?.find_map(|message| match message {
-            ControlMessageOwned::ScmCredentials(credentials) => Some(credentials.uid()),
-            _ => None,
-        });
-        // The kernel gives the credentials of every datagram to a socket that asks for them.
-        let user = user.ok_or(Errno::EPERM)?;
-        Ok(Datagram { user, sender: message.address, length: message.bytes })
-    }
-
-    pub(crate) fn send(&self, text: &str, to: &UnixAddr) -> nix::Result<usize> {
-        send(&self.socket, text, to)
-    }
-}
-
-/// Sends a datagram, or fails if it would have to wait.
-pub(crate) fn send(socket: &UnixDatagram, text: &str, to: &UnixAddr) -> nix::Result<usize> {
-    sendto(socket.as_raw_fd(), text.as_bytes(), to, MsgFlags::MSG_DONTWAIT)
-}
-
-/// What somebody at a socket of the kernel answers to `text`. `user` is whose answer counts: whoever else listens at that name
-/// is not heard. It waits `timeout` for at most `longest_answer` bytes.
-pub(crate) fn ask(
-    name: &str,
-    user: u32,
-    text: &str,
-    timeout: Duration,
-    longest_answer: usize,
-) -> Result<String, AskError> {
-    let to = UnixAddr::new_abstract(name.as_bytes())?;
-    let socket = UnixDatagram::unbound()?;
-    socket.set_read_timeout(Some(timeout))?;
-    let mut own = Socket::new(socket)?;
-    match own.send(text, &to) {
-        Ok(_) => {}
-        // The second when its process is about to end.
-        Err(Errno::ECONNREFUSED | Errno::EPIPE) => return Err(AskError::Nobody),
-        // Its queue is full of what it does not take.
-        Err(Errno::EAGAIN) => return Err(AskError::NoAnswer),
-        Err(error) => return Err(error.into()),
-    }
-    let asked = Instant::now();
-    let mut answer = vec![0; longest_answer];
-    while asked.elapsed() < timeout {
-        match own.receive(&mut answer) {
-            Ok(datagram) if datagram.user == user => {
-                return Ok(String::from_utf8_lossy(&answer[..datagram.length]).into_owned());
-            }
-            Ok(_) | Err(Errno::EPERM | Errno::EINTR) => {}
-            Err(_) => break,
-        }
-    }
-    Err(AskError::NoAnswer)
-}
-
-/// Why there is no answer.
-#[derive(Debug)]
-pub(crate) enum AskError {
-    /// Nobody listens.
-    Nobody,
-    /// Somebody listens but does not answer in time.
-    NoAnswer,
-    /// The socket could not be used.
-    Socket(std::io::Error),
-}
-
-impl From<std::io::Error> for AskError {
-    fn from(error: std::io::Error) -> AskError {
-        AskError::Socket(error)
-    }
-}
-
-impl From<Errno> for AskError {
-    fn from(error: Errno) -> AskError {
-        AskError::Socket(error.into())
-    }
-}
-
 /// Somebody who waits for an answer.
 #[derive(Debug)]
 pub struct Asker(pub(crate) UnixAddr);
 
-/// The robot's end.
+/// The robot's end: a socket in the user's run-time folder, where nobody else can fill its queue, and one that is no file,
+/// should that folder be deleted while the arm moves.
 #[derive(Debug)]
 pub(crate) struct OrderSocket {
-    socket: Socket,
-    /// Who waits for the answer to the newest order.
+    private: Option<PrivateSocket>,
+    public: Socket,
+    /// Who waits for the answer to the newest order, and whether by the private socket.
     asker: Option<UnixAddr>,
+}
+
+/// A socket that is a file, which goes with it.
+#[derive(Debug)]
+struct PrivateSocket {
+    socket: Socket,
+    path: PathBuf,
+}
+
+impl Drop for PrivateSocket {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.path);
+    }
 }
 
 impl OrderSocket {
     pub(crate) fn open(session: &SessionName) -> Result<OrderSocket, ProcessError> {
         let name = listening_name(own_user(), session);
         let failed = |source| ProcessError::OrderSocket { name: name.clone(), source };
-        let socket = Socket::at(&name).map_err(failed)?;
-        socket.socket.set_nonblocking(true).map_err(failed)?;
-        Ok(OrderSocket { socket, asker: None })
+        let public = Socket::at(&name).map_err(failed)?;
+        public.socket.set_nonblocking(true).map_err(failed)?;
+        // Nobody supervises in tests of a stage alone.
+        let private = session.order_socket(own_user()).map(|path| -> std::io::Result<PrivateSocket> {
+            // What a robot process that was killed has left: none runs beside this one, which holds the name above.
+            let _ = std::fs::remove_file(&path);
+            let socket = Socket::new(UnixDatagram::bind(&path)?)?;
+            socket.socket.set_nonblocking(true)?;
+            Ok(PrivateSocket { socket, path })
+        });
+        Ok(OrderSocket { private: private.transpose().map_err(failed)?, public, asker: None })
     }
 
-    /// The next order that has come from this user or root; everything else is passed over.
+    /// The next order that has come from this user or root; everything else is passed over, so much of it at a time that
+    /// nobody can hold the robot up.
     pub(crate) fn receive(&mut self) -> Option<Order> {
-        let mut bytes = [0; MAXIMUM_LINE_LENGTH];
-        loop {
-            match self.socket.receive(&mut bytes) {
-                Ok(datagram) if datagram.is_from_this_user_or_root() => {
-                    let text = std::str::from_utf8(&bytes[..datagram.length]);
-                    let order = text.ok().and_then(Order::parse);
-                    if order.is_some() {
-                        self.asker = datagram.sender;
-                        return order;
-                    }
-                }
-                // From somebody else, or without a sender.
-                Ok(_) | Err(Errno::EPERM | Errno::EINTR | Errno::ENOBUFS) => {}
-                // That nothing more is there is the only other error that a bound socket gives.
-                Err(_) => return None,
-            }
-        }
+        let private = self.private.as_mut().map(|private| &mut private.socket);
+        private.into_iter().chain([&mut self.public]).find_map(|socket| {
+            let (order, asker) = next_order(socket)?;
+            self.asker = asker;
+            Some(order)
+        })
     }
 
     /// Takes no more datagrams; those that have come can still be received.
     pub(crate) fn close(&self) {
-        // A socket that is bound, as this one, can be shut down.
-        let _ = self.socket.socket.shutdown(std::net::Shutdown::Read);
+        for socket in self.sockets() {
+            // A socket that is bound, as these, can be shut down.
+            let _ = socket.socket.shutdown(std::net::Shutdown::Read);
+        }
     }
 
     /// Who gave the newest order, and waits for an answer.
@@ -310,48 +226,110 @@ impl OrderSocket {
     }
 
     /// Tells somebody what came of an order.
-    pub(crate) fn answer(&mut self, asker: &Asker, text: &str) {
-        // One that is gone, or does not read, needs no answer.
-        let _ = self.socket.send(text, &asker.0);
+    pub(crate) fn answer(&mut self, asker: &Asker, answer: &Answer) {
+        // One that is gone, or does not read, needs no answer; text and keys always make JSON.
+        let _ = serde_json::to_string(answer).map(|answer| self.public.send(&answer, &asker.0));
+    }
+
+    /// What is to be waited for.
+    pub(crate) fn descriptors(&self) -> [Option<BorrowedFd<'_>>; 2] {
+        let private = self.private.as_ref().map(|private| private.socket.socket.as_fd());
+        [private, Some(self.public.socket.as_fd())]
+    }
+
+    fn sockets(&self) -> impl Iterator<Item = &Socket> {
+        self.private.iter().map(|private| &private.socket).chain([&self.public])
     }
 }
 
-impl AsFd for OrderSocket {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.socket.socket.as_fd()
+/// The next order at a socket, and who gave it.
+fn next_order(socket: &mut Socket) -> Option<(Order, Option<UnixAddr>)> {
+    let mut bytes = [0; MAXIMUM_LINE_LENGTH];
+    for _ in 0..MOST_STRANGERS {
+        match socket.receive(&mut bytes) {
+            Ok(datagram) if datagram.is_from_this_user_or_root() => {
+                let text = std::str::from_utf8(&bytes[..datagram.length]);
+                if let Some(order) = text.ok().and_then(Order::parse) {
+                    return Some((order, datagram.sender));
+                }
+            }
+            // From somebody else, or without a sender.
+            Ok(_) | Err(Errno::EPERM | Errno::EINTR | Errno::ENOBUFS) => {}
+            // That nothing more is there is the only other error that a bound socket gives.
+            Err(_) => return None,
+        }
     }
+    None
 }
 
-/// Whose session of this name an order goes to, of those whose robot process listens.
+/// Whose session of this name an order goes to, of those that run or whose robot process listens.
 fn addressee(session: &SessionName, wanted: Option<u32>) -> Result<u32, FindError> {
-    let ending = format!(".{session}.orders");
-    let listening: Vec<u32> = claimed_names("tendon.")
-        .iter()
-        .filter_map(|name| name.strip_prefix("tendon.")?.strip_suffix(&ending)?.parse().ok())
+    // The kernel says who holds the name of a session: nobody can pass for another user.
+    let mut users: Vec<u32> = running_sessions()
+        .into_iter()
+        .filter_map(|(user, name)| (name == *session).then_some(user))
         .collect();
-    find_owner(session, &listening, wanted)
+    let own = listening_name(own_user(), session);
+    if users.is_empty() && claimed_names(&own).contains(&own) {
+        // A robot without a supervisor.
+        users.push(own_user());
+    }
+    find_owner(session, &users, wanted)
 }
 
 /// Gives the robot of a session an order and returns its answer. The session is that of `user`, if given; else one's own,
-/// or, for root, that of the one user who runs a session of this name.
+/// or, for root, that of the one user who runs a session of this name. A stop waits for the robot of a session that is
+/// starting.
 ///
 /// # Errors
 ///
-/// [`OrderError`] when there is no such session, or nobody answers.
-pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Result<String, OrderError> {
-    let user = addressee(session, user)?;
+/// [`OrderError`] when there is no such session, or nobody answers. An order that the robot does not obey is no error: see
+/// [`Answer::ok`].
+pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Result<Answer, OrderError> {
+    let begun = Instant::now();
+    loop {
+        let user = addressee(session, user)?;
+        match give(session, user, order) {
+            Err(OrderError::NotListening(_)) if session.supervisor(user).is_none() => {
+                return Err(FindError::not_running(session).into());
+            }
+            Err(OrderError::NotListening(_))
+                if order == Order::Stop && begun.elapsed() < LISTENING_TIMEOUT =>
+            {
+                std::thread::sleep(LISTENING_LOOK);
+            }
+            answered => return answered,
+        }
+    }
+}
+
+/// Gives the order to the robot of this user's session, if it listens.
+fn give(session: &SessionName, user: u32, order: Order) -> Result<Answer, OrderError> {
+    let failed = |source| OrderError::Socket { session: session.clone(), source };
     let timeout = if matches!(order, Order::Arm { .. }) { ARM_ANSWER_TIMEOUT } else { ANSWER_TIMEOUT };
-    let name = listening_name(user, session);
-    ask(&name, user, &order.line(), timeout, MAXIMUM_LINE_LENGTH).map_err(|error| match error {
-        AskError::Nobody => FindError::not_running(session).into(),
-        AskError::NoAnswer => OrderError::NoAnswer(session.clone()),
-        AskError::Socket(source) => OrderError::Socket { session: session.clone(), source },
-    })
+    let private = session.order_socket(user).map(|path| UnixAddr::new(&path)).transpose();
+    let private = private.map_err(|error| failed(error.into()))?;
+    let public = UnixAddr::new_abstract(listening_name(user, session).as_bytes());
+    let public = public.map_err(|error| failed(error.into()))?;
+    for to in private.iter().chain([&public]) {
+        match ask(to, user, &order.line(), timeout, LONGEST_ANSWER) {
+            Ok(answer) => {
+                return serde_json::from_str(&answer).map_err(|_| OrderError::Nonsense(session.clone()));
+            }
+            Err(AskError::Nobody) => {}
+            Err(AskError::NoAnswer) => return Err(OrderError::NoAnswer(session.clone())),
+            Err(AskError::Socket(source)) => return Err(failed(source)),
+        }
+    }
+    Err(OrderError::NotListening(session.clone()))
 }
 
 #[cfg(test)]
 mod tests {
+    use tendon_transport::SessionLock;
+
     use super::*;
+    use crate::datagrams::send;
 
     #[test]
     fn orders_read_back_from_their_lines() {
@@ -411,15 +389,58 @@ mod tests {
         };
         assert_eq!(order, Order::Stop);
         let asker = robot.take_asker().unwrap();
-        robot.answer(&asker, "stopped");
-        assert_eq!(asked.join().unwrap().unwrap(), "stopped");
+        robot.answer(&asker, &Answer::done("stopped"));
+        assert_eq!(asked.join().unwrap().unwrap(), Answer::done("stopped"));
         // One that hangs fills its queue, and nobody waits for ever.
         for _ in 0..20 {
-            robot.socket.send("stop", &address(&session)).unwrap_or_default();
+            robot.public.send("stop", &address(&session)).unwrap_or_default();
         }
         assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::NoAnswer(_))));
         drop(robot);
         assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::Find(_))));
+    }
+
+    #[test]
+    fn a_stop_waits_for_a_robot_that_starts_and_comes_through_whatever_others_send() {
+        let session: SessionName = format!("starts-{}", std::process::id()).parse().unwrap();
+        let _lock = SessionLock::take(&session).unwrap();
+        let asked = {
+            let session = session.clone();
+            std::thread::spawn(move || order_robot(&session, None, Order::Stop))
+        };
+        assert!(matches!(
+            order_robot(&session, None, Order::Arm { seen_ns: 1 }),
+            Err(OrderError::NotListening(_))
+        ));
+        let mut robot = OrderSocket::open(&session).unwrap();
+        // Everybody may fill the queue of the socket that is no file.
+        let stranger = UnixDatagram::unbound().unwrap();
+        stranger.set_nonblocking(true).unwrap();
+        while send(&stranger, "noise", &address(&session)).is_ok() {}
+        let order = loop {
+            if let Some(order) = robot.receive() {
+                break order;
+            }
+            while send(&stranger, "noise", &address(&session)).is_ok() {}
+        };
+        assert_eq!(order, Order::Stop);
+        let asker = robot.take_asker().unwrap();
+        robot.answer(&asker, &Answer::done("stopped"));
+        assert_eq!(asked.join().unwrap().unwrap(), Answer::done("stopped"));
+        let path = session.order_socket(own_user()).unwrap();
+        assert!(path.exists());
+        // Should somebody delete it, there is the other.
+        std::fs::remove_file(&path).unwrap();
+        let asked = {
+            let session = session.clone();
+            std::thread::spawn(move || order_robot(&session, None, Order::Stop))
+        };
+        while robot.receive().is_none() {
+            std::thread::yield_now();
+        }
+        let asker = robot.take_asker().unwrap();
+        robot.answer(&asker, &Answer::done("stopped again"));
+        assert_eq!(asked.join().unwrap().unwrap(), Answer::done("stopped again"));
     }
 
     #[test]

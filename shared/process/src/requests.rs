@@ -6,7 +6,6 @@
 //! ```
 //! The supervisor waits for none of it.
 
-use std::collections::BTreeMap;
 use std::net::Shutdown;
 use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixDatagram;
@@ -20,7 +19,8 @@ use serde::{Deserialize, Serialize};
 use tendon_gesture::Gesture;
 use tendon_transport::{SessionName, own_user};
 
-use crate::orders::{AskError, Socket, ask, send};
+use crate::answer::Answer;
+use crate::datagrams::{AskError, Socket, ask_by_name, send};
 
 /// Longest request, bytes.
 const LONGEST_REQUEST: usize = 4096;
@@ -132,44 +132,6 @@ pub enum CalibrationRequest {
     Redo,
     /// Stop, and keep what was recorded.
     Stop,
-}
-
-/// What came of a request.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Answer {
-    /// Whether it is done, or begun.
-    pub ok: bool,
-    /// What is done, or why nothing is, in words.
-    pub text: String,
-    /// The same as a key of the page's texts, for its own language; `None` where there is none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub key: Option<String>,
-    /// What fills the places of that text.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub values: BTreeMap<String, String>,
-}
-
-impl Answer {
-    /// It is done, or begun.
-    pub fn done(text: impl Into<String>) -> Answer {
-        Answer { ok: true, text: text.into(), key: None, values: BTreeMap::new() }
-    }
-
-    /// Nothing was done.
-    pub fn refused(text: impl Into<String>) -> Answer {
-        Answer { ok: false, ..Answer::done(text) }
-    }
-
-    /// The same with a key of the page's texts.
-    pub fn with_key(self, key: &str) -> Answer {
-        Answer { key: Some(key.to_owned()), ..self }
-    }
-
-    /// The same with what fills a place of the page's text.
-    pub fn with_value(mut self, place: &str, value: impl ToString) -> Answer {
-        self.values.insert(place.to_owned(), value.to_string());
-        self
-    }
 }
 
 /// Why a request has no answer.
@@ -376,7 +338,7 @@ pub fn session_status(session: &SessionName) -> Result<String, RequestError> {
 fn exchange(session: &SessionName, request: &Request) -> Result<String, RequestError> {
     let failed = |source| RequestError::Socket { session: session.clone(), source };
     let text = serde_json::to_string(request).map_err(|error| failed(error.into()))?;
-    let answered = ask(&listening_name(session), own_user(), &text, ANSWER_TIMEOUT, LONGEST_ANSWER);
+    let answered = ask_by_name(&listening_name(session), own_user(), &text, ANSWER_TIMEOUT, LONGEST_ANSWER);
     answered.map_err(|error| match error {
         AskError::Nobody => RequestError::NotRunning(session.clone()),
         AskError::NoAnswer => RequestError::NoAnswer(session.clone()),
@@ -502,7 +464,7 @@ mod tests {
         let _socket = RequestSocket::listen(&session, String::new(), |_| panic!("it is none")).unwrap();
         let listening = listening_name(&session);
         for text in ["", "stop", r#"{"next":{"shell":{}}}"#, &" ".repeat(5000)] {
-            let said = ask(&listening, own_user(), text, ANSWER_TIMEOUT, LONGEST_ANSWER).unwrap();
+            let said = ask_by_name(&listening, own_user(), text, ANSWER_TIMEOUT, LONGEST_ANSWER).unwrap();
             let answer: Answer = serde_json::from_str(&said).unwrap();
             assert!(!answer.ok && answer.text.contains("does not understand"), "{answer:?}");
         }

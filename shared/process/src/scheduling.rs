@@ -9,6 +9,7 @@
 //!
 //! All stages run on one core, because a hand-over to a sleeping core costs its waking, which on virtual
 //! machines and laptops takes longer than all the stages' work, and no two stages ever work at the same time.
+//! Programs that only watch a session keep off that core: they would empty its caches between two windows.
 
 use std::fmt;
 
@@ -141,18 +142,35 @@ pub fn schedule(settings: &SchedulingSettings, stage: Stage) -> Result<Schedulin
     Ok(Scheduling { policy, memory_locked, core, shortfall: shortfall.join("; ") })
 }
 
-/// Restricts the process to the last core it may run on (interrupts tend to go to the first).
+/// The calling thread.
+const THIS_THREAD: Pid = Pid::from_raw(0);
+
+/// Restricts the process to the stages' core.
 fn pin_to_one_core(shortfall: &mut Vec<String>) -> Option<usize> {
-    let this_process = Pid::from_raw(0);
-    let pinned = sched_getaffinity(this_process).and_then(|allowed| {
-        let core = (0..CpuSet::count()).rev().find(|core| allowed.is_set(*core) == Ok(true));
-        let core = core.ok_or(Errno::EINVAL)?;
+    let pinned = sched_getaffinity(THIS_THREAD).and_then(|allowed| {
+        let core = stages_core(&allowed).ok_or(Errno::EINVAL)?;
         let mut one = CpuSet::new();
         one.set(core)?;
-        sched_setaffinity(this_process, &one)?;
+        sched_setaffinity(THIS_THREAD, &one)?;
         Ok(core)
     });
     pinned.map_err(|error| shortfall.push(format!("cannot stay on one core ({error})"))).ok()
+}
+
+/// Keeps the calling thread, and those that it starts, off the core that the stages share. For programs that watch a
+/// live session. Where there is no other core, or the kernel refuses, they run where they may: that only costs the
+/// stages some microseconds.
+pub fn keep_off_the_stages_core() {
+    let Ok(mut allowed) = sched_getaffinity(THIS_THREAD) else { return };
+    let Some(core) = stages_core(&allowed) else { return };
+    if allowed.unset(core).is_ok() && stages_core(&allowed).is_some() {
+        let _ = sched_setaffinity(THIS_THREAD, &allowed);
+    }
+}
+
+/// The last core of those that a session may run on: interrupts tend to go to the first.
+fn stages_core(allowed: &CpuSet) -> Option<usize> {
+    (0..CpuSet::count()).rev().find(|core| allowed.is_set(*core) == Ok(true))
 }
 
 /// `struct sched_attr` of sched_setattr(2), in its first version.
@@ -205,6 +223,25 @@ fn set_attributes(change: impl FnOnce(Attributes) -> Attributes) -> Result<(), E
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_only_watches_keeps_off_the_stages_core() {
+        let cores = || {
+            let allowed = sched_getaffinity(THIS_THREAD).unwrap();
+            (0..CpuSet::count()).filter(|core| allowed.is_set(*core) == Ok(true)).collect::<Vec<_>>()
+        };
+        std::thread::spawn(move || {
+            let (before, others) = (cores(), |cores: &[usize]| cores[..cores.len().max(2) - 1].to_vec());
+            keep_off_the_stages_core();
+            assert_eq!(cores(), others(&before));
+            pin_to_one_core(&mut Vec::new());
+            let alone = cores();
+            keep_off_the_stages_core();
+            assert_eq!(cores(), alone, "the only core was given up");
+        })
+        .join()
+        .unwrap();
+    }
 
     #[test]
     fn a_short_slice_leaves_the_nice_value_as_it_is() {

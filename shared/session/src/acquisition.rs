@@ -87,7 +87,14 @@ impl<'a> AcquisitionWatch<'a> {
                     }
                 }
                 Ok(Event::Ended(stage)) => return Err(self.ended(stage, true)),
-                Ok(Event::Order(..) | Event::GoOn | Event::Redo | Event::Record | Event::Recorder) => {}
+                Ok(
+                    Event::Order(..)
+                    | Event::GoOn
+                    | Event::Redo
+                    | Event::LateArm
+                    | Event::Record
+                    | Event::Recorder,
+                ) => {}
                 Err(_) => {
                     let who = Stage::Acquisition.name().to_owned();
                     return Err(SessionFailure::NotReady { who, timeout: READY_TIMEOUT });
@@ -113,7 +120,7 @@ impl<'a> AcquisitionWatch<'a> {
             Ok(Event::Request(asked)) => hear_request(asked),
             Ok(Event::Stop) | Err(RecvTimeoutError::Disconnected) => Heard::Stop,
             Ok(Event::Ended(stage)) => return Err(self.ended(stage, false)),
-            Ok(Event::Order(..) | Event::Ready(..) | Event::Record | Event::Recorder)
+            Ok(Event::Order(..) | Event::Ready(..) | Event::LateArm | Event::Record | Event::Recorder)
             | Err(RecvTimeoutError::Timeout) => Heard::Nothing,
         };
         self.blocks.acknowledge_wakes()?;

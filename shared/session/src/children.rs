@@ -55,6 +55,8 @@ pub enum Event {
     GoOn,
     /// The key for the last once more.
     Redo,
+    /// The key that arms was read after a standstill of this process, and counts for nothing.
+    LateArm,
     /// The key that starts and ends a recording.
     Record,
     /// The recorder said something, or has ended.

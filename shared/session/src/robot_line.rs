@@ -27,6 +27,10 @@ use tendon_transport::now_ns;
 
 /// Longest turn of the supervisor's loop; after it there are no heartbeats.
 pub const LOOP_LIMIT: Duration = Duration::from_millis(100);
+/// A loop that has not turned for so long stands still: this process was suspended, or the machine is overloaded.
+const STANDSTILL: Duration = Duration::from_secs(1);
+/// So long after a standstill, keys that were pressed in it may still come.
+const AFTER_STANDSTILL: Duration = Duration::from_millis(500);
 /// Time between two signs of life to the robot, which rests after four have not come.
 const HEARTBEAT: Duration = Duration::from_millis(30);
 
@@ -41,8 +45,12 @@ struct Robot {
 pub struct RobotLine {
     robot: Arc<Mutex<Option<Robot>>>,
     is_ending: Arc<AtomicBool>,
+    /// An order to stop came while no robot process was there: the next one begins with it.
+    is_stopped: Arc<AtomicBool>,
     /// When the supervisor's loop last turned, CLOCK_MONOTONIC ns.
     turned_ns: Arc<AtomicU64>,
+    /// When it last turned after it had stood still for [`STANDSTILL`].
+    resumed_ns: Arc<AtomicU64>,
 }
 
 impl RobotLine {
@@ -51,12 +59,22 @@ impl RobotLine {
     }
 
     /// Gives an order to the robot. One that ends at this moment, or has hung for so long that its pipe is full, does not
-    /// hear it.
+    /// hear it. Where none is there yet the next one begins with an order to stop, whatever else came after it.
     pub fn order(&self, order: Order) {
-        if let Some(robot) = &*self.lock() {
+        match &*self.lock() {
             // In one piece, as the heartbeat writes to the same pipe.
-            let _ = (&*robot.orders).write_all(format!("{}\n", order.line()).as_bytes());
+            Some(robot) => drop((&*robot.orders).write_all(format!("{}\n", order.line()).as_bytes())),
+            None if order == Order::Stop => self.is_stopped.store(true, Ordering::Relaxed),
+            None => {}
         }
+    }
+
+    /// Whether this process stands still, or did a moment ago: a key that is read now may have been pressed long before.
+    pub fn stood_still(&self) -> bool {
+        let age_ns = |since: &AtomicU64| u128::from(now_ns().saturating_sub(since.load(Ordering::Relaxed)));
+        let has_resumed = self.resumed_ns.load(Ordering::Relaxed) > 0;
+        age_ns(&self.turned_ns) > STANDSTILL.as_nanos()
+            || has_resumed && age_ns(&self.resumed_ns) < AFTER_STANDSTILL.as_nanos()
     }
 
     /// Ends the session: the robot process stops the arm and ends, before anybody else is asked.
@@ -74,7 +92,11 @@ impl RobotLine {
 
     /// The supervisor's loop has turned.
     pub fn loop_turned(&self) {
-        self.turned_ns.store(now_ns(), Ordering::Relaxed);
+        let now_ns = now_ns();
+        let before_ns = self.turned_ns.swap(now_ns, Ordering::Relaxed);
+        if before_ns > 0 && u128::from(now_ns.saturating_sub(before_ns)) > STANDSTILL.as_nanos() {
+            self.resumed_ns.store(now_ns, Ordering::Relaxed);
+        }
     }
 
     /// A robot process was started.
@@ -82,8 +104,14 @@ impl RobotLine {
         let orders = Arc::new(File::from(orders.as_fd().try_clone_to_owned()?));
         // A pipe that is full because the robot hangs holds nobody up.
         fcntl(&orders, FcntlArg::F_SETFL(OFlag::O_NONBLOCK))?;
-        self.loop_turned();
-        *self.lock() = Some(Robot { orders: orders.clone(), process });
+        // A process that is started stands still for nobody.
+        self.turned_ns.store(now_ns(), Ordering::Relaxed);
+        let mut robot = self.lock();
+        if self.is_stopped.swap(false, Ordering::Relaxed) {
+            (&*orders).write_all(format!("{}\n", Order::Stop.line()).as_bytes())?;
+        }
+        *robot = Some(Robot { orders: orders.clone(), process });
+        drop(robot);
         if self.is_ending() {
             signal(process);
         }
@@ -161,6 +189,39 @@ mod tests {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
         assert!(write_if_there_is_room(&File::from(OwnedFd::from(writer)), b"alive\n").is_err());
+    }
+
+    #[test]
+    fn a_stop_before_the_robot_is_there_is_the_first_that_it_hears() {
+        let mut robot = std::process::Command::new("cat")
+            .stdin(std::process::Stdio::piped())
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        let input = robot.stdin.take().unwrap();
+        let mut lines = BufReader::new(robot.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let line = RobotLine::default();
+        line.order(Order::Stop);
+        line.order(Order::Arm { seen_ns: 5 });
+        line.connect(&input, Pid::from_raw(robot.id() as i32)).unwrap();
+        assert_eq!(lines.next().as_deref(), Some("stop"));
+        assert_eq!(lines.next().as_deref(), Some("alive"));
+        line.end();
+        robot.wait().unwrap();
+    }
+
+    #[test]
+    fn a_loop_that_stood_still_is_known_for_a_while_after_it() {
+        let line = RobotLine::default();
+        line.loop_turned();
+        assert!(!line.stood_still());
+        let before_ns = now_ns() - STANDSTILL.as_nanos() as u64 - 1;
+        line.turned_ns.store(before_ns, Ordering::Relaxed);
+        assert!(line.stood_still());
+        line.loop_turned();
+        assert!(line.stood_still());
+        line.resumed_ns.store(now_ns() - AFTER_STANDSTILL.as_nanos() as u64, Ordering::Relaxed);
+        assert!(!line.stood_still());
     }
 
     #[test]

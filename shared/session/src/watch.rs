@@ -38,6 +38,9 @@ const READY_TIMEOUT: Duration = Duration::from_secs(60);
 const READY_TIMEOUT_OF_ARM: Duration = Duration::from_secs(300);
 /// After this long without being ready, the user is told what is waited for.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// What is said of an `a` that was read after a standstill.
+const LATE_ARM: &str =
+    "tendon: not armed: this program stood still when `a` came; look at the arm, then press it again";
 /// A stage that was started again and ends within so long of being ready would do so for ever.
 const RESTART_TRIAL: Duration = Duration::from_secs(2);
 /// So long after the end of a recording nothing of it is under way any more.
@@ -176,7 +179,7 @@ impl<'a> Watch<'a> {
                 Ok(Event::Request(asked)) => {
                     asked.answer(&Answer::refused("the session is still starting: ask again when it runs"));
                 }
-                Ok(Event::GoOn | Event::Redo | Event::Record) | Err(_) => {}
+                Ok(Event::GoOn | Event::Redo | Event::LateArm | Event::Record) | Err(_) => {}
             }
             self.observer.gather(|_| ())?;
             self.look_at_files()?;
@@ -226,6 +229,7 @@ impl<'a> Watch<'a> {
             Ok(Event::Record) => drop(self.record(self.recorder.is_none())),
             Ok(Event::Recorder) => self.hear_recorder()?,
             Ok(Event::Request(asked)) => self.requests.push_back(asked),
+            Ok(Event::LateArm) => self.standard_error.say(LATE_ARM),
             Ok(Event::GoOn | Event::Redo) => {}
             Err(RecvTimeoutError::Timeout) => self.look_at_restarts()?,
         }

@@ -86,9 +86,10 @@ impl Leftovers {
         names
     }
 
-    /// Removes everything `session` left behind. The caller holds its [`SessionLock`] and has reaped all of
-    /// its processes: files of living ones would be pulled from under them.
-    pub fn remove(lock: &SessionLock, session: &SessionName) -> Removed {
+    /// Removes everything that the session of `lock` left behind. The caller has reaped all of its processes: files of
+    /// living ones would be pulled from under them.
+    pub fn remove(lock: &SessionLock) -> Removed {
+        let session = lock.session();
         let before = Leftovers::beside(lock).files.len();
         Leftovers::remove_empty_segments(session, Duration::ZERO);
         // Then iceoryx2's own way, which knows in which order things go; then what even that left.

@@ -81,8 +81,8 @@ impl SessionLock {
     /// # Errors
     ///
     /// [`PathError`] when it cannot be written.
-    pub fn keep_configuration(&self, session: &SessionName, configuration: &str) -> Result<(), PathError> {
-        self.run.folder.write(&session.configuration_file(&self.run), configuration.as_bytes())
+    pub fn keep_configuration(&self, configuration: &str) -> Result<(), PathError> {
+        self.run.folder.write(&self.session.configuration_file(&self.run), configuration.as_bytes())
     }
 
     pub(crate) fn session(&self) -> &SessionName {

@@ -1,6 +1,8 @@
 //! Sessions: names that keep two on one machine apart, and the part of a process in one.
 
 use core::fmt::{self, Debug, Display};
+use std::fs::Permissions;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -10,7 +12,7 @@ use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::publish_subscribe;
 use serde::{Deserialize, Serialize};
 use tendon_messages::{Topic, Traced};
-use tendon_paths::{Holder, PathError, PrivateFolder, claimed_names, runtime_folder};
+use tendon_paths::{Holder, PathError, PrivateFolder, claimed_names, runtime_folder, user_name};
 
 use crate::publisher::Element;
 
@@ -124,6 +126,13 @@ impl SessionName {
         config
     }
 
+    /// Where the robot of this session takes orders, if `user` runs it: a socket in the user's run-time folder, which nobody
+    /// else but root may enter. `None` where no such session runs.
+    pub fn order_socket(&self, user: u32) -> Option<PathBuf> {
+        let supervisor = self.supervisor(user).filter(|supervisor| !supervisor.card.is_empty())?;
+        Some(Path::new(&supervisor.card).join(format!("{}.orders", self.claim_of(user))))
+    }
+
     /// When the run began that goes on or was broken off; `None` where nobody supervises, as in tests and benchmarks.
     fn began_ns(&self, folder: &PrivateFolder) -> Result<Option<u64>, PathError> {
         let said = folder.read(&self.run_file())?;
@@ -169,6 +178,37 @@ pub fn shared_memory_directory() -> &'static Path {
     Path::new("/dev/shm")
 }
 
+/// The one file of iceoryx2 whose name is known beforehand, by which the nodes of a session are numbered, and its metadata.
+fn management_file(session: &SessionName) -> Option<(PathBuf, std::fs::Metadata)> {
+    let prefix = session.prefix();
+    let is_it = |name: &str| name.starts_with(&prefix) && name.ends_with(".global_mgmt");
+    let files = std::fs::read_dir(shared_memory_directory()).ok()?;
+    let file = files.flatten().find(|file| file.file_name().to_str().is_some_and(is_it))?;
+    Some((file.path(), file.metadata().ok()?))
+}
+
+/// Refuses a file that another user has put in the place of ours.
+fn refuse_foreign_management(session: &SessionName) -> Result<(), SessionError> {
+    match management_file(session) {
+        Some((file, metadata)) if metadata.uid() != own_user() && own_user() != 0 => {
+            let owner = user_name(metadata.uid());
+            Err(SessionError::ForeignFile { session: session.clone(), file, owner })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// iceoryx2 lets everybody write to it, and what another user writes there keeps a stage from being started again.
+fn keep_management_private(session: &SessionName) {
+    if let Some((file, metadata)) = management_file(session)
+        && metadata.uid() == own_user()
+        && metadata.permissions().mode() & 0o077 != 0
+    {
+        // Where it cannot be, it is as iceoryx2 made it.
+        let _ = std::fs::set_permissions(file, Permissions::from_mode(0o600));
+    }
+}
+
 /// What happens when a subscriber is behind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -191,6 +231,20 @@ pub enum SessionError {
         session: SessionName,
         /// iceoryx2's own word.
         reason: String,
+    },
+    /// Another user's file is in the way.
+    #[error(
+        "session `{session}`: {} belongs to {owner} and stands where this session needs a file of its own: take another name \
+         with --session, or let root remove it",
+        file.display()
+    )]
+    ForeignFile {
+        /// Session name.
+        session: SessionName,
+        /// The file.
+        file: PathBuf,
+        /// Name of its owner.
+        owner: String,
     },
     /// A topic could not be opened.
     #[error(
@@ -261,12 +315,14 @@ impl Session {
         }
         let join_error =
             |reason: &dyn Debug| SessionError::Join { session: name.clone(), reason: format!("{reason:?}") };
+        refuse_foreign_management(name)?;
         let node = NodeBuilder::new()
             .name(&NodeName::new(process).map_err(|error| join_error(&error))?)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .config(&name.config(folder.path()))
             .create::<ipc::Service>()
             .map_err(|error| join_error(&error))?;
+        keep_management_private(name);
         let run = began_ns.map(|began_ns| Run { began_ns, folder });
         Ok(Session { name: name.clone(), run, node })
     }

@@ -15,8 +15,8 @@ fn publisher(session: &Session) -> Publisher<BlockHeader, f32> {
 /// Begins a run as a supervisor does.
 fn begin(name: &SessionName, configuration: &str) -> SessionLock {
     let lock = SessionLock::take(name).unwrap();
-    Leftovers::remove(&lock, name);
-    lock.keep_configuration(name, configuration).unwrap();
+    Leftovers::remove(&lock);
+    lock.keep_configuration(configuration).unwrap();
     lock
 }
 
@@ -48,5 +48,5 @@ fn an_observer_that_outlives_its_run_takes_nothing_from_the_next() {
     blocks.publish(BlockHeader::default(), 1, |payload| payload[0] = 1.0).unwrap();
     assert_eq!(subscriber.receive().unwrap().unwrap().payload(), [1.0]);
     drop((subscriber, late, blocks, session));
-    Leftovers::remove(&second, &name);
+    Leftovers::remove(&second);
 }

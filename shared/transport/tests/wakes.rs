@@ -96,7 +96,7 @@ fn stress(name: &str, delivery: Delivery, messages: u64) -> Outcome {
     sender.thread().unpark();
     sender.join().unwrap();
     drop((blocks, session));
-    Leftovers::remove(&lock, &name);
+    Leftovers::remove(&lock);
     outcome
 }
 
@@ -113,7 +113,7 @@ fn an_observer_learns_the_delivery_of_a_topic_from_the_session() {
         drop((blocks, observer));
     }
     drop(session);
-    Leftovers::remove(&lock, &name);
+    Leftovers::remove(&lock);
 }
 
 #[test]
