@@ -3,11 +3,13 @@
 
 use std::fs::Permissions;
 use std::io::{ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use nix::sys::signal::Signal;
+use nix::sys::signal::{Signal, kill};
 use serde_json::{Value, json};
 use tendon_system_tests::{Tendon, TendonBuilder, WATCHDOG, model, program, unique_session, wait_until};
 use tungstenite::client::IntoClientRequest;
@@ -217,6 +219,28 @@ fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
 }
 
 #[test]
+fn a_page_that_is_killed_comes_back_at_its_address_and_still_stops() {
+    let mut tendon = TendonBuilder::run(&unique_session())
+        .args(&["--page", "--page-port", "0", "--set", "acquisition.simulate.script=\"rest 60s\""])
+        .start();
+    tendon.wait_until_running();
+    let page = Page::of(&tendon);
+    let mut viewer = page.request(&page.orders, &[]).unwrap();
+    viewer.next("state", |state| state["permission"] == "granted");
+    kill(tendon.stage("page"), Signal::SIGKILL).unwrap();
+    assert!(viewer.is_left());
+    wait_until("the note on it", || tendon.errors_so_far().contains("and was started again").then_some(()));
+    let mut viewer = page.request(&page.orders, &[]).unwrap();
+    viewer.next("state", |state| state["permission"] == "granted");
+    viewer.say(&json!({"order": {"id": 1, "what": "stop"}}));
+    assert_eq!(viewer.next("answer", |_| true)["ok"], true);
+    viewer.next("state", |state| state["permission"] == "stopped");
+    tendon.signal(Signal::SIGTERM);
+    let report = tendon.end().report();
+    assert_eq!(report.restarts, 0, "{report:?}");
+}
+
+#[test]
 fn the_page_records_notes_and_makes_gestures_as_far_as_its_viewer_may() {
     let data = tempfile::tempdir().unwrap();
     let mut tendon = TendonBuilder::run_with_model(&unique_session(), &model("cnn-six-class"))
@@ -268,9 +292,20 @@ fn the_page_records_notes_and_makes_gestures_as_far_as_its_viewer_may() {
     assert_eq!(watcher.ask(&json!({"record": true}))["ok"], false);
     assert_eq!(watcher.ask(&json!({"note": "hello"}))["ok"], false);
 
+    // A full disk ends the recording, says so, and leaves the session alone.
+    assert_eq!(viewer.ask(&json!({"record": true}))["ok"], true);
+    viewer.next("desk", |desk| desk["recording"].is_string());
+    let recorder = tendon.stage("recorder").to_string();
+    let limited = Command::new("prlimit").args(["--fsize=1000", "--pid", &recorder]).status().unwrap();
+    assert!(limited.success());
+    let desk = viewer.next("desk", |desk| desk["recording_failure"].is_string());
+    assert!(desk["recording_failure"].as_str().unwrap().contains("File too large"), "{desk}");
+    assert_eq!(desk["recording"], Value::Null);
+    assert_eq!(viewer.state_now()["permission"], "granted");
+
     tendon.signal(Signal::SIGTERM);
     let ended = tendon.end();
-    assert_eq!(ended.report().recordings.len(), 1, "{ended:?}");
+    assert_eq!(ended.report().recordings.len(), 2, "{ended:?}");
 }
 
 #[test]
@@ -308,6 +343,16 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
     }
     // It goes on as it was.
     viewer.next("state", |_| true);
+    assert_eq!(viewer.ask(&json!({"record": true}))["ok"], true);
+    let recording = viewer.next("desk", |desk| desk["recording"].is_string())["recording"].clone();
+    // Somebody else wants the port from now on, to be shown the tokens.
+    let is_over = AtomicBool::new(false);
+    let was_taken = || {
+        let looks = std::iter::from_fn(|| {
+            (!is_over.load(Ordering::Relaxed)).then(|| TcpListener::bind(page.address))
+        });
+        looks.filter(Result::is_ok).count()
+    };
     // The next session has the same page: address and tokens stay.
     let change = |mut viewer: Viewer| {
         let answer = next(&mut viewer, json!({"strategy": "threshold", "task": "zones"}));
@@ -318,7 +363,13 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
         })
     };
     std::fs::write(&unplugged, "").unwrap();
-    let mut failed = change(viewer);
+    let (mut failed, taken) = std::thread::scope(|scope| {
+        let thief = scope.spawn(was_taken);
+        let failed = change(viewer);
+        is_over.store(true, Ordering::Relaxed);
+        (failed, thief.join().unwrap())
+    });
+    assert_eq!(taken, 0, "the port was free between two sessions");
     assert_eq!(failed.next("hello", Value::is_object)["kind"], "failed");
     let desk = failed.next("desk", |desk| desk["failed"].is_string());
     assert!(desk["failed"].as_str().unwrap().contains("the amplifier has no power"), "{desk}");
@@ -327,7 +378,9 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
     let mut again = change(failed);
     let hello = again.next("hello", Value::is_object);
     assert_eq!((&hello["strategy"], &hello["rights"]), (&json!("threshold"), &json!("orders")));
-    again.next("desk", |desk| desk["task"].is_object());
+    // What was recorded before is recorded on, to another file.
+    let desk = again.next("desk", |desk| desk["task"].is_object() && desk["recording"].is_string());
+    assert_ne!(desk["recording"], recording);
     // It begins stopped, and waits for somebody who says that the arm may move.
     let state = again.next("state", |_| true);
     assert_eq!((&state["permission"], &state["stop_reason"]), (&json!("stopped"), &json!("next-session")));

@@ -32,7 +32,7 @@ MODES = [{"name": "y-z", "motions": dict(zip(GESTURES, ["none", "+z", "-z", "+y"
          {"name": "x-z", "motions": dict(zip(GESTURES, ["none", "+z", "-z", "+x", "-x", "gripper"]))}]
 RECORDING = "/home/anna/sessions/2026-05-04T10-20-30/session.mcap"
 #: Fields of the state that a calibration, which has no arm, does not know.
-OF_THE_ARM = ["position_mm", "orientation_rad", "joints_rad", "speed_mm_per_s", "gripper", "stop_reason", "hindrance",
+OF_THE_ARM = ["position_mm", "orientation_rad", "joints_rad", "speed_mm_per_s", "gripper", "stop_reason", "fault", "hindrance",
               "phase", "gesture", "voted", "confidence", "mode", "zone"]
 #: What a calibration tells while a gesture is asked for.
 CUE = {
@@ -126,7 +126,7 @@ class Session:
         return {
             "now_ns": now_ns, "captured_ns": now_ns, "elapsed_s": (now_ns - self._started_ns) / 1e9,
             "position_mm": START_MM, "orientation_rad": [math.pi, 0, 0], "joints_rad": JOINTS_RAD,
-            "arm_is_silent": False, "moves": self.gesture != "rest", "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "hindrance": None,
+            "arm_is_silent": False, "moves": self.gesture != "rest", "speed_mm_per_s": 0.0, "gripper": 850.0, "permission": "granted", "stop_reason": None, "fault": None, "hindrance": None,
             "phase": "following", "gesture": self.gesture, "voted": self.gesture, "confidence": 0.93, "unsure": False,
             "novelty": 0.2, "probabilities": [0.93 if gesture == self.gesture else 0.014 for gesture in GESTURES],
             "efforts": [0.5] * len(GESTURES), "mode": 0, "calibration_left_ms": 0, "zone": None, "recording": (self.desk or {}).get("recording"),

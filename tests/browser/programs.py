@@ -25,11 +25,11 @@ def find_programs():
     return max(built, key=lambda folder: (folder / "tendon-page").stat().st_mtime, default=None)
 
 
-def wait_until(what, condition):
-    deadline = time.monotonic() + WATCHDOG_S
+def wait_until(what, condition, watchdog_s=WATCHDOG_S):
+    deadline = time.monotonic() + watchdog_s
     while not (value := condition()):
         if time.monotonic() > deadline:
-            raise AssertionError(f"waited {WATCHDOG_S:.0f} s in vain for {what}")
+            raise AssertionError(f"waited {watchdog_s:.0f} s in vain for {what}")
         time.sleep(0.03)
     return value
 

@@ -56,7 +56,7 @@ class Texts(unittest.TestCase):
 
     def test_all_that_the_server_says_under_a_key_has_words(self):
         said = set()
-        for source in ("shared/process/src", "shared/session/src", "services/page/src", "services/supervisor/src"):
+        for source in ("shared/process/src", "shared/session/src", "services/page/src", "services/robot/src", "services/supervisor/src"):
             for path in (ROOT / source).rglob("*.rs"):
                 said |= set(re.findall(r'with_key\("([^"]+)"\)', path.read_text()))
         self.assertGreater(len(said), 10)
@@ -124,6 +124,16 @@ class InBrowser(PageCase):
         page.click("#arm")
         page.wait_for(f"{STOP} === 'STOP' && {TITLE} === 'Ready · rest'")
         self.assertEqual(self.session.orders[2:], ["arm"])
+        # What was said of the arm is taken back when it is not so any more.
+        page.wait_for(f"{OUTCOME} === 'The arm may move. Relax first.'")
+        self.session.state = {"permission": "stopped", "stop_reason": "arm-fault", "fault": "arm error 31, a collision: look around"}
+        page.wait_for("document.querySelector('#order-outcome').hidden")
+        self.assertIn("It says: arm error 31, a collision: look around.", page.text("#standing-detail"))
+        # An arm that goes to its start position first has obeyed, too.
+        self.session.obeys = False
+        page.click("#arm")
+        self.session.state = {"permission": "stopped", "phase": "going-to-start"}
+        page.wait_for(f"{OUTCOME}.startsWith('Armed. The arm goes to its start position first.')")
 
     def test_the_space_bar_stops_whatever_has_the_focus_and_enter_arms(self):
         page = self.open()
@@ -364,8 +374,11 @@ class InBrowser(PageCase):
         self.assertEqual(asked, ["go-on", "redo", "redo", "go-on", "redo"])
         done = {"phase": "done", "ask": "nothing", "may": [], "report": REPORT}
         self.session.desk = {"calibration": CUE | done}
-        page.wait_for("document.querySelector('.accuracy')?.textContent === '97\u00a0%'"
+        # What the check round has shown counts before what is expected.
+        page.wait_for("document.querySelector('.accuracy')?.textContent === '99\u00a0%'"
                       " && document.querySelectorAll('.confusion .is-wrong').length === 1")
+        lines = page.value("[...document.querySelectorAll('.checked')].map((line) => line.textContent)")
+        self.assertEqual(lines, ["71\u00a0% of it without this calibration.", "Estimate for later repetitions: 97\u00a0%."])
         self.screenshot(page, "calibration-report")
         page.value("document.querySelector('[aria-label=\"Record grip again\"]').click()")
         page.click(".report-orders .begins")

@@ -95,6 +95,7 @@ class RealSessions(PageCase):
         self.assertEqual(len(recordings), 1)
         self.assertIn(b"loose e", recordings[0].read_bytes())
         self.assertEqual(tendon.end(), 0)
+        page.wait_for(f"{TITLE} === 'The session has ended'", LIMIT_S)
 
     def test_the_next_session_comes_at_the_same_page(self):
         tendon = self.run_session("--keyboard", "--page", "--page-port", "0")

@@ -9,9 +9,9 @@ use axum::extract::ws::Utf8Bytes;
 use serde_json::{Value, json};
 use tendon_process::session_status;
 use tendon_transport::SessionName;
+use tokio::sync::watch;
 
 use crate::access::Rights;
-use crate::watching::Audience;
 
 /// Time between two questions while things change, as in a calibration.
 const CHANGING: Duration = Duration::from_millis(50);
@@ -46,20 +46,20 @@ impl Desk {
 }
 
 /// Asks once, and tells the viewers if something has changed. Whether it has.
-pub fn look(session: &SessionName, audience: &Audience) -> bool {
+pub fn look(session: &SessionName, viewers: &watch::Sender<Desk>) -> bool {
     // One that does not run, or hangs, tells nothing.
     let told = session_status(session).unwrap_or_default();
-    let has_changed = audience.desk.borrow().told != told.as_bytes();
+    let has_changed = viewers.borrow().told != told.as_bytes();
     if has_changed {
-        audience.desk.send_replace(Desk::new(told));
+        viewers.send_replace(Desk::new(told));
     }
     has_changed
 }
 
 /// Asks until `stop`.
-pub fn follow(session: &SessionName, audience: &Audience, stop: &Arc<AtomicBool>) {
+pub fn follow(session: &SessionName, viewers: &watch::Sender<Desk>, stop: &Arc<AtomicBool>) {
     while !stop.load(Ordering::Relaxed) {
-        let has_changed = look(session, audience);
+        let has_changed = look(session, viewers);
         std::thread::sleep(if has_changed { CHANGING } else { STEADY });
     }
 }

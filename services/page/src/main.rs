@@ -26,7 +26,7 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context;
@@ -34,7 +34,7 @@ use clap::Parser;
 use listenfd::ListenFd;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tendon_config::Config;
-use tendon_process::{PAGE_VARIABLE, PageKeys};
+use tendon_process::{PAGE_VARIABLE, PageKeys, keep_off_the_stages_core};
 use tendon_transport::SessionName;
 
 use crate::access::Access;
@@ -100,6 +100,8 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
     let (orders, requests) = (Orders::new(session.clone()), Requests::new(session.clone()));
     let files = Files::new().context("cannot compress the page")?;
     let page = Arc::new(Page::new(access, files, audience.clone(), orders, requests));
+    // Before any other thread begins.
+    keep_off_the_stages_core();
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .enable_time()
@@ -107,7 +109,9 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
         .context("cannot serve")?;
     let (ended, end) = tokio::sync::oneshot::channel();
     let asking = (audience.clone(), stop.clone());
-    start("desk", move || desk::follow(&session, &asking.0, &asking.1))?;
+    let is_of_session = arguments.config.is_some();
+    let (viewers, is_told_to_end) = (audience.clone(), stop.clone());
+    start("desk", move || desk::follow(&session, &asking.0.desk, &asking.1))?;
     start("watching", move || {
         // Whoever waits for it is there until it comes.
         let _ = ended.send(watching::watch(&watched, &audience, &stop));
@@ -117,7 +121,15 @@ fn serve(arguments: &Arguments) -> anyhow::Result<()> {
     let result = runtime.block_on(async {
         tokio::select! {
             served = server::serve(listener, page) => served.context("cannot serve"),
-            end = end => end.context("the watching thread ended").flatten(),
+            end = async {
+                let end = end.await;
+                // Its session tells this program to end. If nobody has, the session broke off, and viewers are to see that the
+                // connection is gone; so they are where the session goes on without this program.
+                if is_of_session && is_told_to_end.load(Ordering::Relaxed) {
+                    viewers.say_goodbye().await;
+                }
+                end
+            } => end.context("the watching thread ended").flatten(),
         }
     });
     runtime.shutdown_timeout(END_TIMEOUT);

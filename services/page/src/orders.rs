@@ -84,16 +84,14 @@ impl Orders {
 async fn ask(session: SessionName, order: Order) -> Answer {
     let asked = tokio::task::spawn_blocking(move || order_robot(&session, Some(own_user()), order));
     match asked.await {
-        // As `tendon stop` and `tendon arm` take it.
-        Ok(Ok(said)) if said.starts_with("not armed") => Answer::refused(said).with_key("not-armed"),
-        Ok(Ok(said)) if said.starts_with("not confirmed") => Answer::refused(said).with_key("not-confirmed"),
-        Ok(Ok(said)) => Answer::done(said),
+        Ok(Ok(answer)) => answer,
         Ok(Err(error)) => {
             let refused = Answer::refused(with_causes(&error));
             match error {
                 OrderError::Find(_) => refused.with_key("session-not-running"),
                 OrderError::NoAnswer(_) => refused.with_key("robot-silent"),
-                OrderError::Socket { .. } => refused,
+                OrderError::NotListening(_) => refused.with_key("robot-not-listening"),
+                OrderError::Nonsense(_) | OrderError::Socket { .. } => refused,
             }
         }
         Err(error) => Answer::refused(format!("the order was not given: {error}")),

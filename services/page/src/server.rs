@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use axum::Router;
 use axum::body::Bytes;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade, close_code};
 use axum::extract::{ConnectInfo, RawQuery, Request, State};
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::{HeaderMap, HeaderName, StatusCode};
@@ -52,6 +52,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const PING: Duration = Duration::from_secs(5);
 /// How long a viewer may be silent before it is left: its machine may be gone.
 const SILENCE: Duration = Duration::from_secs(60);
+/// Why the connection ends, for the page: the session has ended as it should.
+const SESSION_ENDED: &str = "session-ended";
 /// Answers and pongs that wait for a slow viewer.
 const WAITING: usize = 64;
 
@@ -199,10 +201,17 @@ async fn tell(
     hello.mark_changed();
     let mut desk = page.audience.desk.subscribe();
     let mut updates = page.audience.updates.subscribe();
+    let mut has_ended = page.audience.has_ended.subscribe();
     let mut pings = tokio::time::interval(PING);
     loop {
         let messages: Arc<[Message]> = tokio::select! {
             biased;
+            Ok(()) = has_ended.changed() => {
+                let goodbye = Message::Close(Some(CloseFrame { code: close_code::AWAY, reason: SESSION_ENDED.into() }));
+                // Whoever takes nothing any more is not told.
+                let _ = tokio::time::timeout(PATIENCE, output.send(goodbye)).await;
+                return;
+            }
             _ = pings.tick() => [Message::Ping(Bytes::new())].into(),
             Some(reply) = answered.recv() => [Message::Text(reply.text().into())].into(),
             Ok(()) = hello.changed() => {

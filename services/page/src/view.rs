@@ -15,6 +15,7 @@ use tendon_messages::{
     PredictionHeader, Stage, StateHeader, StopReason, Trace,
 };
 use tendon_report::{LatencySummary, SessionMeasurements};
+use tendon_xarm::{Fault, Source as FaultSource};
 
 use crate::traces::Traces;
 
@@ -33,7 +34,7 @@ const SILENT_NS: u64 = 250_000_000;
 const SESSION: &str = "session";
 
 /// What a state says of the arm, besides whether it may move.
-const ARM_KEYS: [&str; 15] = [
+const ARM_KEYS: [&str; 16] = [
     "seen_ns",
     "arm_is_silent",
     "position_mm",
@@ -42,6 +43,7 @@ const ARM_KEYS: [&str; 15] = [
     "speed_mm_per_s",
     "gripper",
     "stop_reason",
+    "fault",
     "hindrance",
     "phase",
     "gesture",
@@ -200,6 +202,11 @@ impl View {
                 "stop_reason",
                 json!(StopReason::from_number(header.stop_reason).map(|reason| kebab_case(&reason))),
             ),
+            // In the words of the maker's error list, English.
+            (
+                "fault",
+                json!(Fault::new(FaultSource::Controller, header.fault_code).map(|fault| fault.to_string())),
+            ),
             (
                 "hindrance",
                 json!(Hindrance::from_number(header.hindrance).map(|hindrance| hindrance.to_string())),
@@ -335,7 +342,7 @@ mod tests {
         view.prediction(&PredictionHeader::default(), &[0.25, 0.75, 0.5, 1.0]);
         let state = view.now(5, &traces, &desk).unwrap();
         let expected = json!({
-            "seen_ns": 4, "permission": "await-rest", "stop_reason": "no-commands", "phase": "going-to-start",
+            "seen_ns": 4, "permission": "await-rest", "stop_reason": "no-commands", "fault": null, "phase": "going-to-start",
             "hindrance": "a joint cannot go faster", "gripper": null, "gesture": "extension",
             "joints_rad": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "position_mm": [7.0, 8.0, 9.0],
             "zone": zone, "recording": "/tmp/session.mcap", "orientation_rad": [10.0, 11.0, 12.0], "probabilities": [0.25, 0.75], "efforts": [0.5, 1.0],

@@ -31,6 +31,9 @@ const SESSION_LOOK: Duration = Duration::from_millis(200);
 /// Updates that are kept for a slow viewer, a third of a second; what is older it never sees.
 const UPDATES: usize = 10;
 
+/// How long viewers are waited for when the session has ended.
+const GOODBYE_TIMEOUT: Duration = Duration::from_millis(200);
+
 /// What all viewers are told of one look: bins of the signal, a state, latencies. Together, so that each viewer is written to once,
 /// and its browser woken once.
 pub type Update = Arc<[Message]>;
@@ -44,6 +47,8 @@ pub struct Audience {
     pub updates: broadcast::Sender<Update>,
     /// How it stands besides.
     pub desk: watch::Sender<Desk>,
+    /// Whether the session has ended as it should, so that nobody takes the end of the connection for a fault.
+    pub has_ended: watch::Sender<bool>,
 }
 
 impl Audience {
@@ -53,7 +58,15 @@ impl Audience {
             hello: watch::Sender::new(None),
             updates: broadcast::Sender::new(UPDATES),
             desk: watch::Sender::new(Desk::default()),
+            has_ended: watch::Sender::new(false),
         }
+    }
+
+    /// Tells the viewers that the session has ended as it should, and waits until they have been told; not for one that takes
+    /// nothing.
+    pub async fn say_goodbye(&self) {
+        self.has_ended.send_replace(true);
+        let _ = tokio::time::timeout(GOODBYE_TIMEOUT, self.has_ended.closed()).await;
     }
 }
 
@@ -118,7 +131,7 @@ fn watch_session(
     }
     let mut topics = Topics::open(session)?;
     let (mut view, mut traces) = (View::new(config), Traces::new(config)?);
-    desk::look(&config.session, audience);
+    desk::look(&config.session, &audience.desk);
     let hello = view.hello(now_ns(), traces.bin_ms(), &audience.desk.borrow().facts);
     audience.hello.send_replace(Some(hello));
     let (mut next_frame, mut next_summary) = (Instant::now(), Instant::now());

@@ -34,6 +34,7 @@ let desk = null;
 let isStateNew = false;
 let isScheduled = false;
 let spoken = "";
+let spokenTone = "";
 let spokenMs = -Infinity;
 
 function redraw() {
@@ -137,7 +138,9 @@ function showFailed() {
 }
 
 function showAway(why) {
-  if (requests.isChanging && ["lost", "opening", "no-session"].includes(why)) why = "changing";
+  if (requests.isChanging && ["lost", "opening", "no-session", "ended"].includes(why)) why = "changing";
+  // A calibration has no arm, and what could not begin has none either.
+  if (why === "ended" && hello?.kind !== "session") why = "ended-without-arm";
   showStanding({ tone: "away", title: text(`away.${why}`), detail: text(`away.${why}-detail`) });
 }
 
@@ -145,11 +148,12 @@ function showStanding({ tone, title, detail }) {
   byId("standing").dataset.tone = tone;
   show(byId("standing-title"), title);
   show(byId("standing-detail"), detail);
-  // Screen readers hear why the arm does not follow at once, and gestures no more than every 2 s.
+  // Screen readers hear at once why the arm does not follow, and that it does again; gestures no more than every 2 s.
   const words = tone === "go" ? title.replace(/ · [\d.,]+$/, "") : `${title}. ${detail}`;
   const nowMs = performance.now();
-  if (words === spoken || (tone === "go" && nowMs - spokenMs < 2000)) return;
+  if (words === spoken || (tone === "go" && spokenTone === "go" && nowMs - spokenMs < 2000)) return;
   spoken = words;
+  spokenTone = tone;
   spokenMs = nowMs;
   show(byId("spoken"), words);
 }
@@ -160,7 +164,12 @@ function chooseAgain(tag) {
     button.setAttribute("aria-pressed", String(button.dataset.tag === language));
   }
   isStateNew = state !== null && connection.why === null;
-  if (connection.why) showAway(connection.why);
+  if (connection.why) {
+    showAway(connection.why);
+    // What is old is not drawn anew, but is to be read.
+    if (state !== null && hello?.kind === "session")
+      for (const part of [traces, recognition, arm, latency, task]) part.showState(state);
+  }
   for (const part of [session, orders, actions, next, calibration]) part.refresh();
   redraw();
 }

@@ -25,6 +25,8 @@ const percent = (share) => text("percent", { value: number(share === null ? null
 const capital = (words) => words.slice(0, 1).toUpperCase() + words.slice(1);
 /** The large line's colour for an expected accuracy. */
 const toneOf = (accuracy) => (accuracy === null || accuracy >= RELIABLE ? "go" : accuracy >= 0.7 ? "wait" : "stop");
+/** What a check round has shown; without one, what is expected. */
+const accuracyOf = (report) => report?.check?.after ?? report?.expected_accuracy ?? null;
 const gradeOf = (accuracy) => GRADES.find(([least]) => accuracy >= least)?.[1] ?? "poor";
 
 /** The large line of a calibration; `calibration` is null until the desk has come. */
@@ -43,7 +45,7 @@ export function calibrationStanding(calibration, people) {
     return { tone: "stop", title: text("calibration-stopped", places), detail };
   }
   if (phase === "done") {
-    const accuracy = report?.expected_accuracy ?? null;
+    const accuracy = accuracyOf(report);
     const detail = accuracy === null ? "" : text(`grade.${gradeOf(accuracy)}`);
     return { tone: toneOf(accuracy), title: text("calibrated", places), detail };
   }
@@ -217,18 +219,15 @@ export class Calibration {
   }
 
   head(report) {
-    const accuracy = report.expected_accuracy ?? null;
-    const words = element("div", {
-      children: [
-        element("p", { className: "expected", words: text(accuracy === null ? "expected-unknown" : "expected-is") }),
-      ],
-    });
-    if (report.check) {
-      const { before, after } = report.check;
-      const key = before == null ? "check-after" : "check-before-after";
-      const places = { before: percent(before ?? null), after: percent(after) };
-      words.append(element("p", { className: "checked", words: text(key, places) }));
-    }
+    const accuracy = accuracyOf(report);
+    const expected = { expected: percent(report.expected_accuracy ?? null), alike: percent(report.expected_if_alike ?? null) };
+    const expectedKey = report.expected_if_alike == null ? "expected-later" : "expected-later-alike";
+    const key = report.check ? "check-is" : accuracy === null ? "expected-unknown" : "expected-is";
+    const words = element("div", { children: [element("p", { className: "expected", words: text(key) })] });
+    const add = (line) => words.append(element("p", { className: "checked", words: line }));
+    if (report.check && report.check.before != null) add(text("check-before", { before: percent(report.check.before) }));
+    if (report.check && report.expected_accuracy != null) add(text(expectedKey, expected));
+    else if (report.expected_if_alike != null) add(text("expected-alike", expected));
     const parts = [element("p", { className: "accuracy", words: percent(accuracy) }), words];
     return element("div", { className: "report-head", children: parts });
   }
@@ -252,7 +251,8 @@ export class Calibration {
   }
 
   gestures(report) {
-    const rows = (report.gestures ?? []).map(({ name, recall }) => {
+    const rows = (report.gestures ?? []).map(({ name, recall: expected }) => {
+      const recall = report.check?.after_by_gesture?.[name] ?? expected;
       const redo = button(text("report-redo"), () =>
         beginCalibration(this.requests, { name: this.calibration.name, redo: name }),
       );

@@ -14,6 +14,9 @@ const FRAME_WORD = 0x474d4554;
 const FRAME_VERSION = 1;
 const FRAME_HEADER_BYTES = 32;
 
+/** With these words the server ends the connection when the session has ended as it should. */
+const SESSION_ENDED = "session-ended";
+
 /** Why there are no values: words of texts.json, under "away". */
 const AWAY = {
   opening: "opening",
@@ -24,6 +27,7 @@ const AWAY = {
   forbidden: "forbidden",
   full: "full",
   noSession: "no-session",
+  ended: "ended",
 };
 
 export class Connection {
@@ -70,8 +74,9 @@ export class Connection {
       if (typeof event.data === "string") this.hear(JSON.parse(event.data));
       else this.hearFrame(event.data);
     };
-    socket.onclose = () => {
-      this.setAway(AWAY.lost);
+    socket.onclose = ({ reason }) => {
+      if (reason === SESSION_ENDED) this.setAway(AWAY.ended);
+      else if (wasOpen || this.why !== AWAY.ended) this.setAway(AWAY.lost);
       if (!wasOpen) this.askWhy();
       setTimeout(() => this.open(), this.retryMs);
       this.retryMs = Math.min(this.retryMs * 2, LAST_RETRY_MS);

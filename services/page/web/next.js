@@ -140,18 +140,20 @@ export class NextPanel {
       else if (chosen.strategy === "personal") chosen.strategy = others[0] ?? "threshold";
       strategy.refresh();
     });
+    const wrong = element("p", { className: "is-wrong", role: "alert" });
     strategy.addEventListener("click", () => {
       if (chosen.strategy !== "personal") chosen.person = null;
       person.refresh();
     });
-    const begin = button(
-      text("next-begin"),
-      () => beginSession(this.requests, { person: chosen.person, strategy: chosen.strategy, task: chosen.task }),
-      "begins",
-    );
+    for (const part of [person, strategy]) part.addEventListener("click", () => (wrong.textContent = ""));
+    const beginsSession = () => {
+      if (chosen.strategy === "personal" && chosen.person === null) wrong.textContent = text("next-person-missing");
+      else beginSession(this.requests, { person: chosen.person, strategy: chosen.strategy, task: chosen.task });
+    };
+    const begin = button(text("next-begin"), beginsSession, "begins");
     const session = element("div", {
       className: "column",
-      children: [element("h3", { words: text("next-session") }), person, strategy, task, begin],
+      children: [element("h3", { words: text("next-session") }), person, strategy, task, wrong, begin],
     });
     const notes = ["next-note", ...(desk.recording == null ? [] : ["next-note-recording"])];
     const note = element("p", { className: "facts", words: notes.map((key) => text(key)).join(" ") });

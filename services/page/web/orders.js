@@ -6,6 +6,9 @@ import { said, show, text } from "./texts.js";
 /** An order that the arm's state does not confirm within this time is said to be unconfirmed. */
 const CONFIRMED_WITHIN_MS = 700;
 
+/** While it comes up and goes to its start position the arm moves, or soon will, though it follows no gesture. */
+const isUnderWay = (state) => ["bringing-up", "going-to-start"].includes(state.phase);
+
 export class Orders {
   constructor(connection) {
     this.connection = connection;
@@ -119,13 +122,17 @@ export class Orders {
     const rests = ({ permission, stop_reason: reason }) => permission === "await-rest" && Boolean(reason);
     if (rests(state) && this.state?.permission === "granted")
       this.tell("rested", "wait", { reason: text(`reason.${state.stop_reason}`) });
-    this.state = state;
     const isStopped = state.permission === "stopped" && !state.arm_is_silent;
+    // "The arm may move" is not true any more.
+    if (isStopped && this.state?.permission !== "stopped") this.outcome.clear();
     if (isStopped && (this.asked.delete("stop") || this.isStopUnconfirmed)) {
       this.isStopUnconfirmed = false;
       this.tell("stop-confirmed", "good");
     }
-    if (state.permission !== "stopped" && !state.arm_is_silent && this.asked.delete("arm")) this.tell("arm-confirmed", "good");
+    // It has obeyed, too, when it goes to its start position first.
+    const obeys = state.permission !== "stopped" ? "arm-confirmed" : isUnderWay(state) ? "arm-goes-to-start" : null;
+    if (obeys && !state.arm_is_silent && this.asked.delete("arm")) this.tell(obeys, "good");
+    this.state = state;
     this.refresh();
   }
 
@@ -149,9 +156,8 @@ export class Orders {
   }
 
   refresh() {
-    // While it comes up and goes to its start position the arm moves, or soon will, though it follows no gesture.
-    const isUnderWay = ["bringing-up", "going-to-start"].includes(this.state?.phase);
-    const isStopped = this.state?.permission === "stopped" && !this.state.arm_is_silent && !isUnderWay;
+    const { state } = this;
+    const isStopped = state?.permission === "stopped" && !state.arm_is_silent && !isUnderWay(state);
     const stopKey = this.asked.has("stop") ? "stop-button-asked" : isStopped ? "stop-button-stopped" : "stop-button";
     show(this.stop.firstElementChild, text(stopKey));
     show(this.stop.lastElementChild, text(this.stopNote()));

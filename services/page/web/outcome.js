@@ -15,8 +15,10 @@ export class Outcome {
     this.element.dataset.tone = tone;
     show(this.element, words);
     clearTimeout(this.hiding);
-    this.hiding = setTimeout(() => {
-      this.element.hidden = true;
-    }, SHOWN_MS);
+    this.hiding = setTimeout(() => this.clear(), SHOWN_MS);
+  }
+
+  clear() {
+    this.element.hidden = true;
   }
 }

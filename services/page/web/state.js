@@ -24,7 +24,8 @@ export function standing(hello, state, desk) {
     return { tone: "away", title: text("away.silent"), detail: text("away.silent-detail") };
   if (state.arm_is_silent) return line("stop", "arm-silent");
   const channels = troublesInWords(hello, state);
-  const reason = state.stop_reason ? text(`reason.${state.stop_reason}`) : "";
+  const fault = state.fault ? ` ${text("fault-is", { fault: state.fault })}` : "";
+  const reason = state.stop_reason ? text(`reason.${state.stop_reason}`) + fault : "";
   if (state.permission === "stopped") {
     if (state.phase === "connecting" && !state.stop_reason) return line("wait", "connecting");
     if (state.phase === "bringing-up") return line("wait", "bringing-up");

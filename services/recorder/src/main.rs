@@ -6,8 +6,8 @@
 //! tendon note ── socket ──────────▶    └── what did not fit, or came too fast, is counted and written as an event
 //! ```
 //!
-//! In a session at full speed nothing is lost: the publishers wait for this observer as for any other, and it waits for
-//! the disk. `tendon run` starts it; see `tendon_session_file` for what they say to each other.
+//! In a session at full speed nothing that a stage decides by is lost: the publishers wait for this observer as for any other,
+//! and it waits for the disk. States of the arm and measurements are not waited for. `tendon run` starts it; see `tendon_session_file` for what they say to each other.
 
 mod file;
 mod topics;
@@ -25,7 +25,7 @@ use anyhow::{Context, bail};
 use clap::Parser;
 use signal_hook::consts::{SIGTERM, SIGXFSZ};
 use tendon_config::Config;
-use tendon_process::NoteSocket;
+use tendon_process::{NoteSocket, keep_off_the_stages_core};
 use tendon_session_file::{Event, EventKind, RecordingReport, RecordingStart, Said, TASK, Told};
 use tendon_transport::{Delivery, Session, now_ns};
 
@@ -69,6 +69,10 @@ fn record(arguments: &Arguments) -> anyhow::Result<()> {
     let configuration = tendon_input::read_text(&arguments.config, tendon_input::LARGEST_SETTINGS)
         .with_context(|| format!("cannot read {}", arguments.config.display()))?;
     let config = Config::parse(&configuration, &arguments.config)?;
+    if config.delivery() == Delivery::Live {
+        // Before any other thread begins.
+        keep_off_the_stages_core();
+    }
     let told = listen()?;
     let start = match told.recv() {
         Ok(Told::Start(start)) => start,

@@ -2,7 +2,7 @@
 
 use std::io::{ErrorKind, IsTerminal};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::unix::process::CommandExt;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,13 +13,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
+use nix::sys::socket::{Shutdown, shutdown};
 use tendon_config::Config;
 use tendon_process::{Answer, Next, PAGE_VARIABLE, PageKeys, Request, socket_variables};
-use tendon_session::{ChildrenError, Companion, Event, Writer, become_owner};
+use tendon_session::{BecomeOwnerError, ChildrenError, Companion, Event, Writer, become_owner};
+use tendon_transport::FindError;
 
-use crate::Failure;
 use crate::next::{Handover, refusal};
 use crate::running_session::RunningSession;
+use crate::{Failure, TERMINAL_TIMEOUT};
 
 /// The program that serves the page. It lies beside this one.
 pub const PROGRAM: &str = "tendon-page";
@@ -148,7 +150,7 @@ impl Page {
             None => match options.place.listen() {
                 Ok(socket) => Arc::new(socket),
                 Err(error) => {
-                    errors.say(format!("tendon: the page {error:#}: the session goes on without it"));
+                    errors.say(format!("tendon: the session goes on without a page: {error:#}"));
                     return Ok(None);
                 }
             },
@@ -274,6 +276,8 @@ impl Program {
             let Some(Ok(started)) = again else {
                 self.errors
                     .say(format!("tendon: {PROGRAM} ended ({status}): the session goes on without it"));
+                // Browsers are refused, and do not wait for somebody who takes their connections.
+                let _ = shutdown(self.socket.as_raw_fd(), Shutdown::Both);
                 return;
             };
             self.errors.say(format!("tendon: {PROGRAM} ended ({status}) and was started again"));
@@ -300,8 +304,18 @@ pub struct Options {
 /// Goes on as the program that serves the page.
 pub fn serve(options: &Options) -> Result<(), Failure> {
     let session = &options.session;
-    if let Some(user) = session.user()? {
-        become_owner(&session.name, Some(user)).map_err(Failure::input)?;
+    let user = session.user()?;
+    match become_owner(&session.name, user) {
+        Ok(()) => {}
+        // It waits for a session of its own user.
+        Err(BecomeOwnerError::Find(
+            error @ (FindError::NotRunning { .. } | FindError::OtherOwner { .. }),
+        )) if user.is_none() => {
+            let errors = Writer::standard_error().map_err(Failure::running)?;
+            errors.say(format!("tendon page: {error}. The page shows `{}` once it has begun", session.name));
+            let _ = errors.finish(TERMINAL_TIMEOUT);
+        }
+        Err(error) => return Err(Failure::input(error)),
     }
     let own =
         std::env::current_exe().context("cannot find this program's folder").map_err(Failure::running)?;
