@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use tendon_config::{Config, Source};
 use tendon_dataset::DatasetSettings;
 use tendon_features::Cohort;
@@ -147,6 +147,10 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
         Ok(name) => {
             let people = People::open()?;
             (people.file_of(&name), people.find(&name)?)
+        }
+        // It is no name that a person can have.
+        Err(no_name) if !person.contains('/') && !std::path::Path::new(person).exists() => {
+            bail!("there is no person file `{person}`, and {no_name}")
         }
         Err(_) => (PathBuf::from(person), Person::read(person.as_ref())?),
     };

@@ -81,7 +81,8 @@ impl Report {
             )?;
         }
         if let Some(drift_ppm) = self.clock_drift_ppm {
-            writeln!(out, "source  its clock counts {drift_ppm:+.1} ppm faster than this computer's")?;
+            let than = if drift_ppm < 0.0 { "slower" } else { "faster" };
+            writeln!(out, "source  its clock counts {:.1} ppm {than} than this computer's", drift_ppm.abs())?;
         }
         if self.lost_measurement_batches > 0 {
             writeln!(

@@ -154,8 +154,8 @@ impl TaskRun {
         )
     }
 
-    /// For the live line: which zone there is and where, as seen from in front of the arm: up is +z, right is +y, and near,
-    /// towards whoever stands there, +x.
+    /// For the live line: which zone there is and where, as seen from behind the arm, as on the page: forward is +x,
+    /// left is +y, up is +z.
     pub fn live(&self) -> String {
         match &self.under_way {
             None => "  rest: the first zone appears soon".to_owned(),
@@ -188,9 +188,9 @@ impl TaskRun {
     }
 }
 
-/// Such as `up 78, right 40`, the greatest first, of the axes that zones lie along.
+/// Such as `up 78, left 40`, the greatest first, of the axes that zones lie along.
 fn directions(offset_mm: DVec3, axes: [bool; 3]) -> String {
-    let names = [("near", "far"), ("right", "left"), ("up", "down")];
+    let names = [("forward", "back"), ("left", "right"), ("up", "down")];
     let named = |axis: usize| {
         let (forth, back) = names[axis];
         (offset_mm[axis], if offset_mm[axis] < 0.0 { back } else { forth })
@@ -256,10 +256,10 @@ mod tests {
     #[test]
     fn the_live_line_says_where_the_zone_is() {
         let in_plane = |offset_mm| directions(offset_mm, [false, true, true]);
-        assert_eq!(in_plane(DVec3::new(4.0, 40.2, 78.4)), "up 78, right 40");
-        assert_eq!(in_plane(DVec3::new(0.0, -90.0, -3.0)), "left 90, down 3");
+        assert_eq!(in_plane(DVec3::new(4.0, 40.2, 78.4)), "up 78, left 40");
+        assert_eq!(in_plane(DVec3::new(0.0, -90.0, -3.0)), "right 90, down 3");
         assert_eq!(in_plane(DVec3::new(0.0, 0.3, -31.0)), "down 31");
-        assert_eq!(directions(DVec3::new(-50.0, 3.0, 60.0), [true; 3]), "up 60, far 50, right 3");
+        assert_eq!(directions(DVec3::new(-50.0, 3.0, 60.0), [true; 3]), "up 60, back 50, left 3");
         let mut run = TaskRun::new(plan()).unwrap();
         assert!(run.live().contains("first zone"));
         run.observe(&state(6.0, Permission::Granted), START_MM).unwrap();
