@@ -119,6 +119,33 @@ fn a_session_with_a_stop_and_restarts_is_replayed_bit_for_bit() {
 }
 
 #[test]
+fn a_session_with_zones_is_replayed_bit_for_bit_and_exported_with_its_scores() {
+    let name = unique_session();
+    let folder = tempfile::tempdir().unwrap();
+    let [recorded, replayed, tables] =
+        ["recorded", "replayed", "tables"].map(|name| folder.path().join(name));
+    let session = TendonBuilder::run(&name).args(&["--task", "zones", "--duration", "25s"]);
+    let near_and_wide = ["--set", "task.distance_mm=[50, 80]", "--set", "task.width_mm=60"];
+    let task = session.args(&near_and_wide).arg("--record").arg(&recorded).end().report().task.unwrap();
+    let file = file_in(&recorded).unwrap();
+
+    let compared = replay_and_compare(&name, &file, &replayed, &[]);
+    assert_eq!(compared.exit_code, Some(0), "{compared:#?}");
+    assert_eq!(
+        compared.output.matches(" 0 different, 0 only in the first, 0 only").count(),
+        2,
+        "{compared:#?}"
+    );
+
+    let export = TendonBuilder::command(&name, &["export"]).arg(&file).arg("--csv").arg(&tables).end();
+    assert_eq!(export.exit_code, Some(0), "{export:#?}");
+    let zones = std::fs::read_to_string(tables.join("zones.csv")).unwrap();
+    // A head, and a row for each zone.
+    assert_eq!(zones.lines().count(), 1 + task.zones.len(), "{zones}");
+    assert!(!task.zones.is_empty(), "{task:#?}");
+}
+
+#[test]
 fn a_person_who_adapts_is_replayed_bit_for_bit_after_a_stop_and_a_restart() {
     let folder = tempfile::tempdir().unwrap();
     let [data, recorded, replayed] = ["data", "recorded", "replayed"].map(|name| folder.path().join(name));
