@@ -32,7 +32,7 @@ const gradeOf = (accuracy) => GRADES.find(([least]) => accuracy >= least)?.[1] ?
 /** The large line of a calibration; `calibration` is null until the desk has come. */
 export function calibrationStanding(calibration, people) {
   if (calibration === null) return standing("away", "calibration-opening");
-  const { name, phase, ask, gesture, trouble, error, report } = calibration;
+  const { name, phase, ask, gesture, trouble, error, report, may } = calibration;
   const places = {
     name,
     gesture: gesture == null ? "" : capital(gestureName(gesture)),
@@ -52,7 +52,9 @@ export function calibrationStanding(calibration, people) {
   if (trouble) return { tone: "stop", title: text("calibration-trouble"), detail: findingWords(trouble) };
   if (ask === "hold") return standing("go", gesture === "rest" ? "hold-rest" : "hold", places);
   if (ask === "relax") return standing("move", places.seconds == null ? "cue-relax" : "cue-countdown", places);
-  if (ask === "wait") return standing("wait", phase === "check" ? "check-ready" : "calibration-ready", places);
+  // Before the source is there nothing is waited for that somebody could say.
+  if (ask === "wait" && may.includes("go-on"))
+    return standing("wait", phase === "check" ? "check-ready" : "calibration-ready", places);
   return standing("wait", "calibration-opening", places);
 }
 
