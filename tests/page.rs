@@ -151,13 +151,19 @@ impl Viewer {
     }
 }
 
-#[test]
-fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
+/// A session whose simulated person rests, and its page.
+fn start_at_rest() -> (Tendon, Page) {
     let mut tendon = TendonBuilder::run(&unique_session())
         .args(&["--page", "--page-port", "0", "--set", "acquisition.simulate.script=\"rest 60s\""])
         .start();
     tendon.wait_until_running();
     let page = Page::of(&tendon);
+    (tendon, page)
+}
+
+#[test]
+fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
+    let (tendon, page) = start_at_rest();
     let mut viewer = page.request(&page.orders, &[]).unwrap();
     let hello = viewer.next("hello", Value::is_object);
     assert_eq!(
@@ -220,11 +226,7 @@ fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
 
 #[test]
 fn a_page_that_is_killed_comes_back_at_its_address_and_still_stops() {
-    let mut tendon = TendonBuilder::run(&unique_session())
-        .args(&["--page", "--page-port", "0", "--set", "acquisition.simulate.script=\"rest 60s\""])
-        .start();
-    tendon.wait_until_running();
-    let page = Page::of(&tendon);
+    let (tendon, page) = start_at_rest();
     let mut viewer = page.request(&page.orders, &[]).unwrap();
     viewer.next("state", |state| state["permission"] == "granted");
     kill(tendon.stage("page"), Signal::SIGKILL).unwrap();

@@ -187,9 +187,6 @@ class Viewer:
         while chunk := self._socket.recv(1 << 20):
             self.bytes += len(chunk)
 
-    def close(self):
-        self._socket.shutdown(socket.SHUT_RDWR)
-
 
 def processor_s(number):
     """Time that a process has had on the processor, s."""

@@ -7,7 +7,8 @@
 //! ```
 //!
 //! In a session at full speed nothing that a stage decides by is lost: the publishers wait for this observer as for any other,
-//! and it waits for the disk. States of the arm and measurements are not waited for. `tendon run` starts it; see `tendon_session_file` for what they say to each other.
+//! and it waits for the disk. States of the arm and measurements are not waited for. `tendon run` starts it; see
+//! `tendon_session_file` for what they say to each other.
 
 mod file;
 mod topics;

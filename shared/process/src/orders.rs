@@ -167,7 +167,7 @@ pub struct Asker(pub(crate) UnixAddr);
 pub(crate) struct OrderSocket {
     private: Option<PrivateSocket>,
     public: Socket,
-    /// Who waits for the answer to the newest order, and whether by the private socket.
+    /// Who waits for the answer to the newest order.
     asker: Option<UnixAddr>,
 }
 

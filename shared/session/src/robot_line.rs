@@ -170,6 +170,7 @@ fn write_if_there_is_room(mut pipe: &File, line: &[u8]) -> std::io::Result<()> {
 mod tests {
     use std::io::{BufRead, BufReader, Read};
     use std::os::fd::OwnedFd;
+    use std::process::{Child, Command, Stdio};
 
     use super::*;
 
@@ -191,15 +192,17 @@ mod tests {
         assert!(write_if_there_is_room(&File::from(OwnedFd::from(writer)), b"alive\n").is_err());
     }
 
+    /// A process in the robot's place, its standard input, and what it hears there.
+    fn stand_in() -> (Child, ChildStdin, impl Iterator<Item = String>) {
+        let mut robot = Command::new("cat").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let input = robot.stdin.take().unwrap();
+        let lines = BufReader::new(robot.stdout.take().unwrap()).lines().map_while(Result::ok);
+        (robot, input, lines)
+    }
+
     #[test]
     fn a_stop_before_the_robot_is_there_is_the_first_that_it_hears() {
-        let mut robot = std::process::Command::new("cat")
-            .stdin(std::process::Stdio::piped())
-            .stdout(std::process::Stdio::piped())
-            .spawn()
-            .unwrap();
-        let input = robot.stdin.take().unwrap();
-        let mut lines = BufReader::new(robot.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let (mut robot, input, mut lines) = stand_in();
         let line = RobotLine::default();
         line.order(Order::Stop);
         line.order(Order::Arm { seen_ns: 5 });
@@ -226,13 +229,7 @@ mod tests {
 
     #[test]
     fn there_are_heartbeats_only_while_the_loop_turns_and_orders_pass_all_the_same() {
-        let mut robot = std::process::Command::new("cat")
-            .stdin(std::process::Stdio::piped())
-            .stdout(std::process::Stdio::piped())
-            .spawn()
-            .unwrap();
-        let input = robot.stdin.take().unwrap();
-        let mut lines = BufReader::new(robot.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let (mut robot, input, mut lines) = stand_in();
         let line = RobotLine::default();
         line.connect(&input, Pid::from_raw(robot.id() as i32)).unwrap();
         assert_eq!(lines.next().as_deref(), Some("alive"));

@@ -129,8 +129,7 @@ impl SessionName {
     /// Where the robot of this session takes orders, if `user` runs it: a socket in the user's run-time folder, which nobody
     /// else but root may enter. `None` where no such session runs.
     pub fn order_socket(&self, user: u32) -> Option<PathBuf> {
-        let supervisor = self.supervisor(user).filter(|supervisor| !supervisor.card.is_empty())?;
-        Some(Path::new(&supervisor.card).join(format!("{}.orders", self.claim_of(user))))
+        Some(self.folder_on_card(user)?.join(format!("{}.orders", self.claim_of(user))))
     }
 
     /// When the run began that goes on or was broken off; `None` where nobody supervises, as in tests and benchmarks.
@@ -142,10 +141,13 @@ impl SessionName {
     /// Where the run-time state of this user's session lies: where its supervisor says, if one runs, whatever this
     /// process's own environment says.
     fn folder(&self) -> Result<PrivateFolder, PathError> {
-        match self.supervisor(own_user()).filter(|supervisor| !supervisor.card.is_empty()) {
-            Some(supervisor) => PrivateFolder::open(Path::new(&supervisor.card)),
-            None => runtime_folder(),
-        }
+        self.folder_on_card(own_user()).map_or_else(runtime_folder, |folder| PrivateFolder::open(&folder))
+    }
+
+    /// The same as its supervisor says, if `user` runs it; `None` also while the supervisor hangs.
+    fn folder_on_card(&self, user: u32) -> Option<PathBuf> {
+        let supervisor = self.supervisor(user).filter(|supervisor| !supervisor.card.is_empty())?;
+        Some(PathBuf::from(supervisor.card))
     }
 }
 
