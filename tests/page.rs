@@ -16,6 +16,9 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::http::HeaderValue;
 use tungstenite::{Error, Message, WebSocket};
 
+/// Within this time after a stop nobody can have seen it, ns.
+const REACTION_NS: u64 = 200_000_000;
+
 /// A page that was started, by the addresses that it printed.
 struct Page {
     address: SocketAddr,
@@ -124,9 +127,16 @@ impl Viewer {
 
     /// The state after all that was said before.
     fn state_now(&mut self) -> Value {
+        self.state_in(0)
+    }
+
+    /// The state so much later, ns.
+    fn state_in(&mut self, wait_ns: u64) -> Value {
         self.say(&json!({"ping": {"t": -1.0}}));
-        let now_ns = self.next("pong", |pong| pong["t"] == -1.0)["now_ns"].as_u64();
-        self.next("state", |state| state["seen_ns"].as_u64() > now_ns)
+        let now_ns = self.next("pong", |pong| pong["t"] == -1.0)["now_ns"].as_u64().unwrap();
+        self.next("state", |state| {
+            state["seen_ns"].as_u64().is_some_and(|seen_ns| seen_ns > now_ns + wait_ns)
+        })
     }
 
     /// The answer to a request.
@@ -189,18 +199,22 @@ fn a_session_is_seen_stopped_and_armed_and_hostile_requests_do_nothing() {
     assert_eq!((&answer["id"], &answer["order"], &answer["ok"]), (&json!(7), &json!("stop"), &json!(true)));
     viewer.next("state", |state| state["permission"] == "stopped" && state["stop_reason"] == "ordered");
     // An order to arm counts for the state that its sender saw: not for one before the newest stop.
-    let seen_ns = viewer.state_now()["seen_ns"].clone();
+    // Nor for what nobody has taken in yet.
+    let seen_ns = viewer.state_in(REACTION_NS)["seen_ns"].clone();
     viewer.say(&json!({"order": {"id": 8, "what": "stop"}}));
     assert_eq!(viewer.next("answer", |answer| answer["id"] == 8)["ok"], true);
-    for late in [json!({"id": 9, "what": "arm", "seen_ns": seen_ns}), json!({"id": 9, "what": "arm"})] {
-        viewer.say(&json!({"order": late}));
+    let at_once_ns = viewer.state_now()["seen_ns"].clone();
+    for seen_ns in [Some(seen_ns), Some(at_once_ns), None] {
+        let mut arm = json!({"id": 9, "what": "arm"});
+        arm.as_object_mut().unwrap().extend(seen_ns.map(|seen_ns| ("seen_ns".to_owned(), seen_ns)));
+        viewer.say(&json!({"order": arm}));
         let answer = viewer.next("answer", |answer| answer["id"] == 9);
         assert!(
-            answer["ok"] == false && answer["text"].as_str().unwrap().contains("look at it again"),
+            answer["ok"] == false && answer["text"].as_str().unwrap().contains("look at the arm again"),
             "{answer}"
         );
     }
-    let state = viewer.state_now();
+    let state = viewer.state_in(REACTION_NS);
     assert_eq!(state["permission"], "stopped");
     viewer.say(&json!({"order": {"id": 10, "what": "arm", "seen_ns": state["seen_ns"]}}));
     let answer = viewer.next("answer", |answer| answer["id"] == 10);
@@ -386,7 +400,7 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
     // It begins stopped, and waits for somebody who says that the arm may move.
     let state = again.next("state", |_| true);
     assert_eq!((&state["permission"], &state["stop_reason"]), (&json!("stopped"), &json!("next-session")));
-    let seen_ns = again.state_now()["seen_ns"].clone();
+    let seen_ns = again.state_in(REACTION_NS)["seen_ns"].clone();
     again.say(&json!({"order": {"id": 1, "what": "arm", "seen_ns": seen_ns}}));
     assert_eq!(again.next("answer", |_| true)["ok"], true);
     again.next("state", |state| state["permission"] != "stopped");

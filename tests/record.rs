@@ -10,7 +10,7 @@ use nix::sys::signal::{Signal, kill};
 use tendon_session_file::{EventKind, Message, Reader};
 use tendon_system_tests::recorded_sessions::{file_in, replay_and_compare};
 use tendon_system_tests::recordings::write_three_dc;
-use tendon_system_tests::{Ended, Tendon, TendonBuilder, unique_session, wait_until};
+use tendon_system_tests::{Ended, Tendon, TendonBuilder, arm, unique_session, wait_until};
 use tendon_transport::{SessionName, now_ns};
 
 /// What the file holds so far. It may still be written.
@@ -78,7 +78,7 @@ fn disturbed_session(
     for stage in stages {
         restart(&mut session, stage, folder);
     }
-    assert_eq!(ask(name, &["arm"]).exit_code, Some(0));
+    assert_eq!(arm(name).exit_code, Some(0));
     wait_for_commands(&mut session, folder, 30);
     session.signal(Signal::SIGINT);
     (session.end(), file_in(folder).unwrap())

@@ -253,7 +253,7 @@ fn another_arm_at_the_same_address_is_taken_anew_and_waits() {
     std::thread::sleep(WATCHED);
     assert_eq!(own.arm.model().report().pose, pose, "it moves by itself");
     // It is this session's now, and is left in good order.
-    let ended = TendonBuilder::command(&unique_session(), &["arm", "--session", &session.to_string()]).end();
+    let ended = tendon_system_tests::arm(&session);
     assert_eq!(ended.exit_code, Some(0), "{ended:#?}");
     tendon.signal(Signal::SIGTERM);
     tendon.end();

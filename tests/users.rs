@@ -10,7 +10,7 @@ use std::process::{Child, Stdio};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::{Pid, geteuid};
 use tempfile::TempDir;
-use tendon_system_tests::{TendonBuilder, unique_session, wait_until};
+use tendon_system_tests::{TendonBuilder, arm, unique_session, wait_until};
 use tendon_transport::SessionName;
 
 /// The user `nobody`.
@@ -81,7 +81,7 @@ fn root_finds_a_users_session_and_leaves_it_alone() {
     let run = |arguments: &[&str]| TendonBuilder::command(&unique_session(), arguments).end();
     let stopped = run(&["stop", "--session", &name]);
     assert!(stopped.output.contains("the arm is stopped"), "{stopped:#?}");
-    assert_eq!(run(&["arm", "--session", &name]).exit_code, Some(0));
+    assert_eq!(arm(&others.session).exit_code, Some(0));
     let latency = run(&["latency", "--session", &name, "--interval", "300ms", "--duration", "1s"]);
     assert_eq!(latency.exit_code, Some(0), "{latency:#?}");
     assert!(latency.output.contains("acquisition to dsp"), "{latency:#?}");

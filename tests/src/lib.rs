@@ -87,6 +87,15 @@ pub fn wait_until<T>(what: &str, mut condition: impl FnMut() -> Option<T>) -> T 
     }
 }
 
+/// `tendon arm`, again and again until the newest stop is so old that its sender can have seen it.
+pub fn arm(session: &SessionName) -> Ended {
+    let words = ["arm", "--session", &session.to_string()];
+    wait_until("an order to arm that comes late enough", || {
+        let ended = TendonBuilder::command(&unique_session(), &words).end();
+        (!ended.errors.contains("cannot have seen the newest stop")).then_some(ended)
+    })
+}
+
 /// Asserts that a session has no file left in shared memory and the runtime directory.
 pub fn assert_nothing_left(session: &SessionName) {
     let left = Leftovers::of(session).files;

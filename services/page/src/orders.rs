@@ -55,13 +55,13 @@ impl Orders {
     }
 
     /// Gives the robot an order of somebody to whom the page showed the arm as it was at `seen_ns`; its answer goes to
-    /// `answers` when it comes. An order to arm that a stop overtakes on its way is refused by the robot.
+    /// `answers` when it comes. The robot refuses an order to arm by somebody who cannot have seen the newest stop.
     pub fn give(&self, id: u64, order: What, seen_ns: u64, answers: Sender<Told>) {
         let told = move |answer| Told { id, order: order.name(), answer };
         let (order, arming) = match order {
             What::Stop => (Order::Stop, None),
             What::Arm => match self.arming.clone().try_lock_owned() {
-                Ok(arming) => (Order::Arm { seen_ns }, Some(arming)),
+                Ok(arming) => (Order::arm_shown_at(seen_ns), Some(arming)),
                 Err(_) => {
                     let answer =
                         Answer::refused("the robot is already being asked to arm: wait for its answer");

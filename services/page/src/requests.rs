@@ -95,6 +95,6 @@ fn not_asked(error: &RequestError) -> Answer {
     match error {
         RequestError::NotRunning(_) => refused.with_key("session-not-running"),
         RequestError::NoAnswer(_) => refused.with_key("session-silent"),
-        RequestError::Nonsense(_) | RequestError::Socket { .. } => refused,
+        RequestError::Nonsense(_) | RequestError::Listen { .. } | RequestError::Socket { .. } => refused,
     }
 }

@@ -98,7 +98,7 @@ pub fn watch(watched: &Watched, audience: &Audience, stop: &Arc<AtomicBool>) -> 
         }
         Watched::Named(name) => {
             while !stop.load(Ordering::Relaxed) {
-                if name.supervisor(own_user()).is_some() {
+                if name.is_run_by(own_user()) {
                     let session = Session::join(name, NAME)?;
                     if let Some(text) = session.configuration()? {
                         let config =

@@ -6,6 +6,9 @@ import { said, show, text } from "./texts.js";
 /** An order that the arm's state does not confirm within this time is said to be unconfirmed. */
 const CONFIRMED_WITHIN_MS = 700;
 
+/** Nobody has taken in a stop before it was shown for this long, and the robot obeys no order to arm before. */
+const REACTION_MS = 200;
+
 /** While it comes up and goes to its start position the arm moves, or soon will, though it follows no gesture. */
 const isUnderWay = (state) => ["bringing-up", "going-to-start"].includes(state.phase);
 
@@ -18,6 +21,8 @@ export class Orders {
     this.isStopUnconfirmed = false;
     this.rights = null;
     this.state = null;
+    // Since when the arm is seen to be stopped.
+    this.stoppedMs = null;
     this.stop = document.getElementById("stop");
     this.arm = document.getElementById("arm");
     this.note = document.getElementById("note-text");
@@ -158,6 +163,7 @@ export class Orders {
   refresh() {
     const { state } = this;
     const isStopped = state?.permission === "stopped" && !state.arm_is_silent && !isUnderWay(state);
+    this.stoppedMs = isStopped ? (this.stoppedMs ?? performance.now()) : null;
     const stopKey = this.asked.has("stop") ? "stop-button-asked" : isStopped ? "stop-button-stopped" : "stop-button";
     show(this.stop.firstElementChild, text(stopKey));
     show(this.stop.lastElementChild, text(this.stopNote()));
@@ -170,7 +176,7 @@ export class Orders {
     this.stop.classList.toggle("is-stopped", isStopped);
     this.stop.setAttribute("aria-disabled", String(this.rights === "watch"));
     // Not disabled, which would take the focus away from whoever works by keyboard.
-    this.canArm = isStopped && this.rights !== "watch";
+    this.canArm = isStopped && this.rights !== "watch" && performance.now() - this.stoppedMs > REACTION_MS;
     this.arm.setAttribute("aria-disabled", String(!this.canArm));
   }
 

@@ -327,6 +327,10 @@ impl Robot {
     fn answer(&mut self, process: &mut StageProcess) {
         if let Some(answer) = self.controller.take_answer() {
             let text = answer.text(|stop| self.words(stop));
+            // By a key: nobody else waits to be told.
+            if self.askers.is_empty() && !answer.is_success() {
+                tracing::warn!("{text}");
+            }
             let answer = if answer.is_success() { Answer::done(text) } else { not_armed(text) };
             for asker in self.askers.drain(..) {
                 process.control.answer(&asker, &answer);
@@ -370,6 +374,9 @@ impl Robot {
         // So that an order to stop is either heard now, or refused.
         process.control.stop_listening();
         let is_stopped_now = self.obey_last_stop(process)?;
+        for asker in self.askers.drain(..) {
+            process.control.answer(&asker, &not_armed("not armed: the session is ending"));
+        }
         // A supervisor that is gone was killed, or crashed.
         let is_abandoned = process.control.is_abandoned();
         let Some(owned) = &mut self.owned else { return Ok(()) };

@@ -151,7 +151,7 @@ fn main() -> ExitCode {
         Command::Run(options) => run::run(&options).and_then(go_on),
         Command::Latency(options) => latency::show(&options),
         Command::Stop(options) => order::give(&options, Order::Stop),
-        Command::Arm(options) => order::give(&options, Order::Arm { seen_ns: now_ns() }),
+        Command::Arm(options) => order::give(&options, Order::arm_shown_at(now_ns())),
         Command::Sources(options) => sources::list(&options),
         Command::Page(options) => page::serve(&options),
         Command::Note(options) => note::leave(&options),

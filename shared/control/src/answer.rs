@@ -42,7 +42,7 @@ impl Outdated {
     pub fn text(self) -> &'static str {
         match self {
             Outdated::StoppedSince => {
-                "not armed: the arm was stopped after this order was given; look at it again, then arm it anew"
+                "not armed: whoever gave this order cannot have seen the newest stop yet; look at the arm again, then arm it anew"
             }
             Outdated::TooLate => {
                 "not armed: the order came too late; look at the arm again, then arm it anew"

@@ -218,5 +218,5 @@ fn observe<H: Traced, E: Element>(
 
 /// A session runs while a supervisor of this user holds its name.
 fn is_running(session: &SessionName) -> bool {
-    session.supervisor(own_user()).is_some()
+    session.is_run_by(own_user())
 }

@@ -11,14 +11,16 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::Shutdown;
-use std::os::fd::AsRawFd;
+use std::os::fd::{AsRawFd, OwnedFd};
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
 use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use nix::sys::socket::{self, AddressFamily, SockFlag, SockType, UnixAddr, connect, getsockopt, sockopt};
+use nix::sys::socket::{
+    self, AddressFamily, SockFlag, SockType, UnixAddr, UnixCredentials, connect, getsockopt, sockopt,
+};
 
 use crate::user_name;
 
@@ -29,7 +31,7 @@ const LAST_HOLD: Duration = Duration::from_secs(1);
 /// Time between two tries for a name that is held.
 const RETRY: Duration = Duration::from_millis(20);
 /// Longest card, bytes.
-const MAXIMUM_CARD_LENGTH: u64 = 4096;
+const MAXIMUM_CARD_LENGTH: usize = 4096;
 
 /// Why a name cannot be claimed.
 #[derive(Debug, thiserror::Error)]
@@ -146,26 +148,52 @@ pub struct Holder {
 }
 
 impl Holder {
-    /// Who holds `name`; `None` if nobody does, or nobody can tell.
+    /// Who holds `name`; `None` if nobody does, or nobody can tell. It waits 0.5 s for the card at most.
     pub fn of(name: &str) -> Option<Holder> {
-        let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
-        let visitor = socket::socket(AddressFamily::Unix, SockType::Stream, flags, None).ok()?;
-        let address = UnixAddr::new_abstract(name.as_bytes()).ok()?;
-        connect(visitor.as_raw_fd(), &address).ok()?;
-        // Those of the process that began to listen: unix(7).
-        let credentials = getsockopt(&visitor, sockopt::PeerCredentials).ok()?;
+        let (visitor, credentials) = visit(name)?;
         let stream = UnixStream::from(visitor);
-        let mut card = String::new();
         let _ = stream.set_nonblocking(false);
-        let _ = stream.set_read_timeout(Some(CARD_TIMEOUT));
         let _ = stream.shutdown(Shutdown::Write);
-        let _ = (&stream).take(MAXIMUM_CARD_LENGTH).read_to_string(&mut card);
+        let card = read_card(&stream);
         Some(Holder { process_id: credentials.pid(), user: credentials.uid(), card })
     }
 
     fn is_running(&self) -> bool {
         Path::new("/proc").join(self.process_id.to_string()).exists()
     }
+}
+
+/// A connection to the holder of `name`, and who that is: the process that began to listen, see unix(7).
+fn visit(name: &str) -> Option<(OwnedFd, UnixCredentials)> {
+    let flags = SockFlag::SOCK_NONBLOCK | SockFlag::SOCK_CLOEXEC;
+    let visitor = socket::socket(AddressFamily::Unix, SockType::Stream, flags, None).ok()?;
+    let address = UnixAddr::new_abstract(name.as_bytes()).ok()?;
+    connect(visitor.as_raw_fd(), &address).ok()?;
+    let credentials = getsockopt(&visitor, sockopt::PeerCredentials).ok()?;
+    Some((visitor, credentials))
+}
+
+/// What comes before the holder hangs up, or the time for it is over.
+fn read_card(mut stream: &UnixStream) -> String {
+    let begun = Instant::now();
+    let mut card = Vec::new();
+    let mut piece = [0; 512];
+    while card.len() < MAXIMUM_CARD_LENGTH {
+        let left = CARD_TIMEOUT.saturating_sub(begun.elapsed());
+        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
+            break;
+        }
+        match stream.read(&mut piece) {
+            Ok(0) | Err(_) => break,
+            Ok(count) => card.extend_from_slice(&piece[..count]),
+        }
+    }
+    String::from_utf8(card).unwrap_or_default()
+}
+
+/// The user whose process holds `name`; `None` if nobody does. It asks the kernel alone, so it does not wait for the holder.
+pub fn holding_user(name: &str) -> Option<u32> {
+    visit(name).map(|(_, credentials)| credentials.uid())
 }
 
 /// All names in the abstract namespace that begin with `prefix`, held by whatever user.
@@ -200,6 +228,21 @@ mod tests {
         drop(claim);
         assert_eq!(Holder::of(&name), None);
         Claim::take(&name, "").unwrap();
+    }
+
+    #[test]
+    fn a_holder_that_hands_its_card_out_byte_by_byte_is_waited_for_no_longer_than_one_that_hangs() {
+        let name = format!("tendon-trickle.{}", std::process::id());
+        let listener = UnixListener::bind_addr(&SocketAddr::from_abstract_name(&name).unwrap()).unwrap();
+        assert_eq!(holding_user(&name), Some(nix::unistd::geteuid().as_raw()));
+        std::thread::spawn(move || {
+            let visitors: Vec<UnixStream> = (0..2).map(|_| listener.accept().unwrap().0).collect();
+            while (&visitors[1]).write_all(b"x").is_ok() {
+                std::thread::sleep(CARD_TIMEOUT / 5);
+            }
+        });
+        // Without an end to it, this does not return.
+        assert!(Holder::of(&name).unwrap().card.len() < 100);
     }
 
     #[test]

@@ -17,7 +17,7 @@ mod claim;
 mod folder;
 mod shared;
 
-pub use claim::{Claim, ClaimError, Holder, claimed_names};
+pub use claim::{Claim, ClaimError, Holder, claimed_names, holding_user};
 pub use folder::{
     PathError, PrivateFolder, arm_record_folder, data_folder, runtime_folder, runtime_folders, state_folder,
     user_name,

@@ -198,9 +198,19 @@ impl Control {
             }
             match self.socket.as_mut().and_then(OrderSocket::receive) {
                 Some(order) if order.stops_the_arm() => return Ok(Some(order)),
-                Some(_) => {}
+                Some(_) => self.refuse_at_the_end(),
                 None => return Ok(None),
             }
+        }
+    }
+
+    /// Tells whoever gave the newest order that it comes too late.
+    fn refuse_at_the_end(&mut self) {
+        if let Some(asker) = self.take_asker() {
+            self.answer(
+                &asker,
+                &Answer::refused("not armed: the session is ending").with_key("session-ending"),
+            );
         }
     }
 

@@ -32,7 +32,10 @@ pub enum ProcessError {
     #[error("cannot handle signals")]
     Signals(#[source] io::Error),
     /// The robot's socket for orders cannot be made.
-    #[error("cannot listen for orders at the socket @{name}: does another robot process do so?")]
+    #[error(
+        "cannot listen for orders at the socket @{name}: if another program holds that name, perhaps another user's, choose \
+         another session name with --session"
+    )]
     OrderSocket {
         /// The socket's name in the kernel.
         name: String,

@@ -125,9 +125,7 @@ pub fn leave_note(session: &SessionName, text: &str) -> Result<String, NoteError
     }
     let answered = ask_by_name(&listening_name(session), own_user(), text, ANSWER_TIMEOUT, LONGEST_ANSWER);
     answered.map_err(|error| match error {
-        AskError::Nobody if session.supervisor(own_user()).is_none() => {
-            FindError::not_running(session).into()
-        }
+        AskError::Nobody if !session.is_run_by(own_user()) => FindError::not_running(session).into(),
         AskError::Nobody => NoteError::NotRecorded(session.clone()),
         AskError::NoAnswer => NoteError::NoAnswer(session.clone()),
         AskError::Socket(source) => NoteError::Socket { session: session.clone(), source },

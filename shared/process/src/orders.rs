@@ -17,7 +17,7 @@ use nix::errno::Errno;
 use nix::sys::socket::UnixAddr;
 use tendon_gesture::Gesture;
 use tendon_paths::claimed_names;
-use tendon_transport::{FindError, SessionName, find_owner, own_user, running_sessions};
+use tendon_transport::{FindError, SessionName, find_owner, now_ns, own_user, running_sessions};
 
 use crate::answer::Answer;
 use crate::datagrams::{AskError, Socket, ask};
@@ -44,7 +44,7 @@ pub enum Order {
     /// Permit motion again, once the person has been at rest.
     Arm {
         /// When the arm was as the sender of the order saw it, CLOCK_MONOTONIC ns: the order must not undo a stop that came
-        /// later.
+        /// later. See [`Order::arm_shown_at`].
         seen_ns: u64,
     },
     /// Another stage ended: stop the arm, until [`Order::Arm`].
@@ -52,6 +52,14 @@ pub enum Order {
 }
 
 impl Order {
+    /// An order to arm, by somebody before whose eyes the arm, or its picture, was at `shown_ns`, CLOCK_MONOTONIC ns. What they
+    /// have taken in is older by their reaction time: a stop that came since is one they do not know of.
+    pub fn arm_shown_at(shown_ns: u64) -> Order {
+        // Nobody was shown what is to come: the robot refuses it.
+        let is_to_come = shown_ns > now_ns();
+        Order::Arm { seen_ns: if is_to_come { u64::MAX } else { shown_ns.saturating_sub(REACTION_NS) } }
+    }
+
     /// The line for this order, without the line feed.
     pub fn line(self) -> String {
         match self {
@@ -104,6 +112,8 @@ fn parse_gesture(line: &str) -> Option<Order> {
     (0.0..=1.0).contains(&effort).then_some(Order::Gesture { gesture, effort })
 }
 
+/// Simple reactions to what is seen take about 200 ms.
+const REACTION_NS: u64 = 200_000_000;
 /// Longest line of an order; what is longer is none of ours.
 pub(crate) const MAXIMUM_LINE_LENGTH: usize = 256;
 /// Longest answer, bytes.
@@ -290,7 +300,7 @@ pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Re
     loop {
         let user = addressee(session, user)?;
         match give(session, user, order) {
-            Err(OrderError::NotListening(_)) if session.supervisor(user).is_none() => {
+            Err(OrderError::NotListening(_)) if !session.is_run_by(user) => {
                 return Err(FindError::not_running(session).into());
             }
             Err(OrderError::NotListening(_))
@@ -307,12 +317,14 @@ pub fn order_robot(session: &SessionName, user: Option<u32>, order: Order) -> Re
 fn give(session: &SessionName, user: u32, order: Order) -> Result<Answer, OrderError> {
     let failed = |source| OrderError::Socket { session: session.clone(), source };
     let timeout = if matches!(order, Order::Arm { .. }) { ARM_ANSWER_TIMEOUT } else { ANSWER_TIMEOUT };
-    let private = session.order_socket(user).map(|path| UnixAddr::new(&path)).transpose();
-    let private = private.map_err(|error| failed(error.into()))?;
+    // First what needs no word of a supervisor, which may hang while the arm moves.
+    let at_hand = if user == own_user() { session.order_sockets_at_hand() } else { Vec::new() };
+    let on_card = std::iter::once_with(|| session.order_socket(user)).flatten();
+    let private = at_hand.into_iter().chain(on_card).map(|path| UnixAddr::new(&path));
     let public = UnixAddr::new_abstract(listening_name(user, session).as_bytes());
-    let public = public.map_err(|error| failed(error.into()))?;
-    for to in private.iter().chain([&public]) {
-        match ask(to, user, &order.line(), timeout, LONGEST_ANSWER) {
+    for to in private.chain([public]) {
+        let to = to.map_err(|error| failed(error.into()))?;
+        match ask(&to, user, &order.line(), timeout, LONGEST_ANSWER) {
             Ok(answer) => {
                 return serde_json::from_str(&answer).map_err(|_| OrderError::Nonsense(session.clone()));
             }
@@ -326,10 +338,21 @@ fn give(session: &SessionName, user: u32, order: Order) -> Result<Answer, OrderE
 
 #[cfg(test)]
 mod tests {
+    use std::os::linux::net::SocketAddrExt;
+    use std::os::unix::net::{SocketAddr, UnixListener};
+
     use tendon_transport::SessionLock;
 
     use super::*;
     use crate::datagrams::send;
+
+    #[test]
+    fn an_order_to_arm_counts_for_what_was_seen_a_reaction_time_before() {
+        let now_ns = now_ns();
+        assert_eq!(Order::arm_shown_at(now_ns), Order::Arm { seen_ns: now_ns - 200_000_000 });
+        assert_eq!(Order::arm_shown_at(now_ns + 60_000_000_000), Order::Arm { seen_ns: u64::MAX });
+        assert_eq!(Order::arm_shown_at(5), Order::Arm { seen_ns: 0 });
+    }
 
     #[test]
     fn orders_read_back_from_their_lines() {
@@ -441,6 +464,22 @@ mod tests {
         let asker = robot.take_asker().unwrap();
         robot.answer(&asker, &Answer::done("stopped again"));
         assert_eq!(asked.join().unwrap().unwrap(), Answer::done("stopped again"));
+    }
+
+    #[test]
+    fn a_stop_waits_for_no_other_program_that_holds_a_name_and_says_nothing() {
+        let own = std::process::id();
+        // As those of another user, whom nobody can make answer.
+        let silent: Vec<UnixListener> = (0..20)
+            .map(|number| format!("tendon.4294967294.silent-{own}-{number}"))
+            .map(|name| UnixListener::bind_addr(&SocketAddr::from_abstract_name(name).unwrap()).unwrap())
+            .collect();
+        let session: SessionName = format!("beside-silent-{own}").parse().unwrap();
+        let begun = Instant::now();
+        assert!(matches!(order_robot(&session, None, Order::Stop), Err(OrderError::Find(_))));
+        // Half a second for each of them would be ten.
+        assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+        drop(silent);
     }
 
     #[test]

@@ -148,6 +148,17 @@ pub enum RequestError {
         "session `{0}` gave an answer that makes no sense: are the page and the session of the same version?"
     )]
     Nonsense(SessionName),
+    /// Its socket cannot be made.
+    #[error(
+        "cannot listen for requests at the socket @{name}: if another program holds that name, perhaps another user's, choose \
+         another session name with --session"
+    )]
+    Listen {
+        /// The socket's name in the kernel.
+        name: String,
+        /// The system's word.
+        source: std::io::Error,
+    },
     /// The socket could not be used.
     #[error("cannot use the socket for requests to session `{session}`")]
     Socket {
@@ -235,14 +246,15 @@ impl RequestSocket {
     ///
     /// # Errors
     ///
-    /// [`RequestError::Socket`] when another supervisor listens, or the system refuses.
+    /// [`RequestError::Listen`] when somebody else holds the socket's name, or the system refuses.
     pub fn listen(
         session: &SessionName,
         status: String,
         on_request: impl FnMut(Asked) + Send + 'static,
     ) -> Result<RequestSocket, RequestError> {
-        let failed = |source| RequestError::Socket { session: session.clone(), source };
-        let socket = Socket::at(&listening_name(session)).map_err(failed)?;
+        let name = listening_name(session);
+        let failed = |source| RequestError::Listen { name: name.clone(), source };
+        let socket = Socket::at(&name).map_err(failed)?;
         let replies = Arc::new(socket.socket.try_clone().map_err(failed)?);
         let status = Arc::new(Mutex::new(status));
         let hearing =
@@ -403,7 +415,7 @@ mod tests {
         let socket =
             RequestSocket::listen(&session, "1".to_owned(), move |one| sender.send(one).unwrap()).unwrap();
         let second = RequestSocket::listen(&session, String::new(), |_| ());
-        assert!(matches!(second, Err(RequestError::Socket { .. })));
+        assert!(second.unwrap_err().to_string().contains("another session name with --session"));
         assert_eq!(session_status(&session).unwrap(), "1");
         let long = "x".repeat(LONGEST_ANSWER);
         socket.show(long.clone());

@@ -13,7 +13,6 @@
 
 use std::os::fd::AsFd;
 use std::sync::mpsc::Sender;
-use std::time::Duration;
 
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -31,10 +30,6 @@ use crate::robot_line::RobotLine;
 
 /// So long after an Esc comes the rest of what an arrow or function key sends, ms.
 const SEQUENCE_MS: u8 = 20;
-
-/// Whoever presses a key has seen the arm as it was so long ago, at the latest: a stop that came since is one they do not know
-/// of. (Simple reactions to what is seen take about 200 ms.)
-const REACTION: Duration = Duration::from_millis(200);
 
 const ESCAPE: u8 = 0x1b;
 const CONTROL_C: u8 = 0x03;
@@ -176,7 +171,7 @@ fn hear(robot: &RobotLine, events: &Sender<Event>, keys: &Keys) {
             }
             Key::Arm if robot.stood_still() => events.send(Event::LateArm).is_ok(),
             Key::Arm => {
-                robot.order(Order::Arm { seen_ns: now_ns().saturating_sub(REACTION.as_nanos() as u64) });
+                robot.order(Order::arm_shown_at(now_ns()));
                 true
             }
             Key::Quit => quit(robot, events),

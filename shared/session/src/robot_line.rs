@@ -27,8 +27,9 @@ use tendon_transport::now_ns;
 
 /// Longest turn of the supervisor's loop; after it there are no heartbeats.
 pub const LOOP_LIMIT: Duration = Duration::from_millis(100);
-/// A loop that has not turned for so long stands still: this process was suspended, or the machine is overloaded.
-const STANDSTILL: Duration = Duration::from_secs(1);
+/// A loop that has not turned for so long stands still: this process was suspended, or the machine is overloaded. A key that was
+/// pressed before a stop must not count for what was seen after it, so this is less than the 200 ms that a key counts back.
+const STANDSTILL: Duration = Duration::from_millis(150);
 /// So long after a standstill, keys that were pressed in it may still come.
 const AFTER_STANDSTILL: Duration = Duration::from_millis(500);
 /// Time between two signs of life to the robot, which rests after four have not come.

@@ -5,14 +5,19 @@ use std::fs::Permissions;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::{Duration, Instant};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{Node, NodeBuilder, NodeName, SemanticString, ServiceName, SignalHandlingMode, ipc};
-use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+use iceoryx2::service::builder::publish_subscribe::{
+    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
+};
 use iceoryx2::service::port_factory::publish_subscribe;
 use serde::{Deserialize, Serialize};
 use tendon_messages::{Topic, Traced};
-use tendon_paths::{Holder, PathError, PrivateFolder, claimed_names, runtime_folder, user_name};
+use tendon_paths::{
+    Holder, PathError, PrivateFolder, claimed_names, holding_user, runtime_folder, runtime_folders, user_name,
+};
 
 use crate::publisher::Element;
 
@@ -24,6 +29,9 @@ const MAXIMUM_BORROWED: usize = 2;
 const MAXIMUM_PUBLISHERS: usize = 8;
 /// Processes that can take part in a topic.
 const MAXIMUM_NODES: usize = 24;
+/// How long a topic that several processes open at once may take, and the time between two tries.
+const OPENING_TIMEOUT: Duration = Duration::from_secs(1);
+const OPENING_LOOK: Duration = Duration::from_millis(2);
 /// Longest path of a Unix socket: unix(7).
 const MAXIMUM_SOCKET_PATH: usize = 107;
 /// What iceoryx2 adds to folder and prefix for an event's socket: a slash, a port of 39 digits and `.event`.
@@ -88,9 +96,16 @@ impl SessionName {
         format!("tendon.{user}.{}", self.0)
     }
 
-    /// Who runs the session of this name for `user`; `None` if nobody does. Somebody else cannot pass for `user`.
+    /// Whether `user` runs the session of this name. The kernel says so: somebody else cannot pass for `user`, and a
+    /// supervisor that hangs is not waited for.
+    pub fn is_run_by(&self, user: u32) -> bool {
+        holding_user(&self.claim_of(user)) == Some(user)
+    }
+
+    /// Who runs the session of this name for `user`; `None` if nobody does.
     pub fn supervisor(&self, user: u32) -> Option<Holder> {
-        Holder::of(&self.claim_of(user)).filter(|holder| holder.user == user)
+        let holder = self.is_run_by(user).then(|| Holder::of(&self.claim_of(user)))?;
+        holder.filter(|holder| holder.user == user)
     }
 
     /// A file of this session with the ending `ending`, in shared memory. It goes with the session's other
@@ -129,7 +144,19 @@ impl SessionName {
     /// Where the robot of this session takes orders, if `user` runs it: a socket in the user's run-time folder, which nobody
     /// else but root may enter. `None` where no such session runs.
     pub fn order_socket(&self, user: u32) -> Option<PathBuf> {
-        Some(self.folder_on_card(user)?.join(format!("{}.orders", self.claim_of(user))))
+        Some(self.folder_on_card(user)?.join(self.order_socket_name(user)))
+    }
+
+    /// The same sockets as [`SessionName::order_socket`], of this user, as far as their folder is known without asking the
+    /// supervisor, which may hang.
+    pub fn order_sockets_at_hand(&self) -> Vec<PathBuf> {
+        let name = self.order_socket_name(own_user());
+        let paths = runtime_folders().into_iter().map(|folder| folder.path().join(&name));
+        paths.filter(|path| path.exists()).collect()
+    }
+
+    fn order_socket_name(&self, user: u32) -> String {
+        format!("{}.orders", self.claim_of(user))
     }
 
     /// When the run began that goes on or was broken off; `None` where nobody supervises, as in tests and benchmarks.
@@ -170,7 +197,7 @@ pub fn running_sessions() -> Vec<(u32, SessionName)> {
     let parse = |claim: String| -> Option<(u32, SessionName)> {
         let (user, name) = claim.strip_prefix("tendon.")?.split_once('.')?;
         let (user, name) = (user.parse().ok()?, name.parse::<SessionName>().ok()?);
-        name.supervisor(user).map(|_| (user, name))
+        name.is_run_by(user).then_some((user, name))
     };
     claimed_names("tendon.").into_iter().filter_map(parse).collect()
 }
@@ -335,7 +362,7 @@ impl Session {
         let Some(run) = &self.run else { return false };
         let began_ns = self.name.began_ns(&run.folder).ok().flatten();
         // Who deletes the folder does not end the session.
-        self.name.supervisor(own_user()).is_some() && began_ns.is_none_or(|began_ns| began_ns == run.began_ns)
+        self.name.is_run_by(own_user()) && began_ns.is_none_or(|began_ns| began_ns == run.began_ns)
     }
 
     /// The session's name.
@@ -359,19 +386,30 @@ impl Session {
         topic: &Topic<H, E>,
         delivery: Delivery,
     ) -> Result<publish_subscribe::PortFactory<ipc::Service, [E], H>, SessionError> {
-        self.node
-            .service_builder(&self.service_name(topic.name)?)
-            .publish_subscribe::<[E]>()
-            .user_header::<H>()
-            .enable_safe_overflow(delivery == Delivery::Live)
-            .subscriber_max_buffer_size(topic.buffer)
-            .subscriber_max_borrowed_samples(MAXIMUM_BORROWED)
-            .history_size(0)
-            .max_subscribers(MAXIMUM_SUBSCRIBERS)
-            .max_publishers(MAXIMUM_PUBLISHERS)
-            .max_nodes(MAXIMUM_NODES)
-            .open_or_create()
-            .map_err(|error| self.port_error(topic.name, &error))
+        let name = self.service_name(topic.name)?;
+        let open = || {
+            self.node
+                .service_builder(&name)
+                .publish_subscribe::<[E]>()
+                .user_header::<H>()
+                .enable_safe_overflow(delivery == Delivery::Live)
+                .subscriber_max_buffer_size(topic.buffer)
+                .subscriber_max_borrowed_samples(MAXIMUM_BORROWED)
+                .history_size(0)
+                .max_subscribers(MAXIMUM_SUBSCRIBERS)
+                .max_publishers(MAXIMUM_PUBLISHERS)
+                .max_nodes(MAXIMUM_NODES)
+                .open_or_create()
+        };
+        let begun = Instant::now();
+        loop {
+            match open() {
+                Err(error) if is_passing(&error) && begun.elapsed() < OPENING_TIMEOUT => {
+                    std::thread::sleep(OPENING_LOOK);
+                }
+                opened => return opened.map_err(|error| self.port_error(topic.name, &error)),
+            }
+        }
     }
 
     /// The topic as it is in this session, whatever its delivery; `None` while nobody has opened it.
@@ -405,6 +443,20 @@ impl Session {
     pub(crate) fn port_error(&self, topic: &'static str, reason: &dyn Debug) -> SessionError {
         SessionError::Open { session: self.name.clone(), topic, reason: format!("{reason:?}") }
     }
+}
+
+/// Whether the next try may succeed: a signal came, or another process creates or removes the topic at this moment.
+fn is_passing(error: &PublishSubscribeOpenOrCreateError) -> bool {
+    matches!(
+        error,
+        PublishSubscribeOpenOrCreateError::SystemInFlux
+            | PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
+                PublishSubscribeOpenError::DoesNotExist | PublishSubscribeOpenError::Interrupt
+            )
+            | PublishSubscribeOpenOrCreateError::PublishSubscribeCreateError(
+                PublishSubscribeCreateError::Interrupt
+            )
+    )
 }
 
 #[cfg(test)]
