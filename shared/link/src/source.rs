@@ -38,6 +38,8 @@ pub struct LinkedSource {
     said: String,
     /// Whether there was a connection before.
     was_lost: bool,
+    /// Whether it was said that samples come at another rate.
+    rate_was_said: bool,
 }
 
 impl std::fmt::Debug for LinkedSource {
@@ -73,6 +75,7 @@ impl LinkedSource {
             may_have_more: false,
             said: String::new(),
             was_lost: false,
+            rate_was_said: false,
         }))
     }
 
@@ -103,7 +106,21 @@ impl LinkedSource {
             Err(Errno::EAGAIN | Errno::EINTR) => {}
             Err(error) => return Some(format!("the connection broke ({})", error.desc())),
         }
+        self.say_other_rate();
         self.stream.failure(now_ns)
+    }
+
+    /// Samples that come more slowly than they should seem to come later and later, and nobody could see why the arm stops.
+    fn say_other_rate(&mut self) {
+        let Some(share) = self.stream.clock.other_rate().filter(|_| !self.rate_was_said) else { return };
+        self.rate_was_said = true;
+        let rate_hz = self.offer.sample_rate_hz;
+        tracing::warn!(
+            "{}: for 20 s its samples have come at {:.1} Hz instead of {rate_hz} Hz. Does the network keep up? If so, that is its \
+             real rate: set acquisition.sample_rate_hz to it, and in a program of your own rate_hz",
+            self.name,
+            share * rate_hz
+        );
     }
 
     fn lose(&mut self, reason: &str) {

@@ -15,6 +15,9 @@ const INTERVAL_NS: u64 = 2_000_000_000;
 const INTERVALS: usize = 15;
 /// Most drift of a device's clock, 1 for 1. What differs more counts at another rate.
 const MOST_DRIFT: f64 = 1e-3;
+/// So many intervals in a row in which the device counts too fast, or too slowly, for a clock that drifts are another rate. A delay that
+/// comes or goes changes one of them.
+const STEADY_INTERVALS: usize = 10;
 /// A block that comes so much before its time contradicts the line, ns.
 const EARLY_NS: i128 = 20_000_000;
 /// So many blocks in a row that come before their time show that the device's clock has leapt.
@@ -80,6 +83,20 @@ impl DeviceClock {
     /// How much faster than CLOCK_MONOTONIC the device counts, in parts per million; `None` until that is known.
     pub fn drift_ppm(&self) -> Option<f64> {
         self.line.filter(|_| self.least.len() > 1).map(|(_, slope)| -slope * 1e6)
+    }
+
+    /// How fast the device counts, as a share of what it should, where for the last 20 s that has been another rate and no drift.
+    pub fn other_rate(&self) -> Option<f64> {
+        let newest = self.least.len().checked_sub(STEADY_INTERVALS + 1)?;
+        let slope = |from: &Point, to: &Point| {
+            (to.difference_ns - from.difference_ns) as f64 / to.since(from).max(1.0)
+        };
+        let recent = || self.least.iter().skip(newest);
+        let is_another = |direction: f64| {
+            recent().zip(recent().skip(1)).all(|(from, to)| direction * slope(from, to) > MOST_DRIFT)
+        };
+        let (first, last) = (recent().next()?, self.least.back()?);
+        (is_another(1.0) || is_another(-1.0)).then(|| 1.0 / (1.0 + slope(first, last)))
     }
 
     /// The difference that the line has at the device time of `point`.
@@ -195,6 +212,32 @@ mod tests {
             assert_eq!(clock.captured_ns(device_ns, received_ns), received_ns);
         }
         times(1999)
+    }
+
+    /// What is said of a minute of a device that counts at this share of its rate, each block this late: of its number.
+    fn rate_found(share: f64, late_ns: impl Fn(u64) -> u64) -> Option<f64> {
+        let mut clock = DeviceClock::default();
+        let found = (0..12_000_u64).filter_map(|block| {
+            let captured_ns = 1_000_000_000 + block * BLOCK_NS;
+            clock.captured_ns(((block * BLOCK_NS) as f64 * share) as u64, captured_ns + late_ns(block));
+            clock.other_rate()
+        });
+        found.last()
+    }
+
+    #[test]
+    fn another_rate_is_found_and_neither_drift_nor_delays_are_one() {
+        let jitter = |block: u64| (block * 7919 % 100) * 100_000;
+        for share in [0.99, 0.995, 0.998, 1.002, 1.005, 1.01] {
+            let found = rate_found(share, jitter).unwrap();
+            assert!((found - share).abs() < 2e-4, "{found} instead of {share}");
+        }
+        for share in [0.9995, 1.0, 1.0005] {
+            assert_eq!(rate_found(share, jitter), None, "{share}");
+        }
+        // The network is busy for 5 s in every 15 s, or from the middle on.
+        assert_eq!(rate_found(1.0, |block| if block % 3000 < 1000 { 80_000_000 } else { 0 }), None);
+        assert_eq!(rate_found(1.0, |block| if block > 6000 { 500_000_000 } else { 0 }), None);
     }
 
     #[test]
