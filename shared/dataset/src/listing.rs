@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use tendon_identity::PersonId;
 use tendon_recordings::labels::{self, LabelledFile, is_table};
 use tendon_recordings::{
-    Channel, RecordedSession, RecordingError, RecordingSettings, RecordingSource, Segment, Signals,
-    SkippedEntry, SkippedKind, is_signals, muscles, ozdemir, three_dc, unit_of_table,
+    Channel, Notice, RecordedSession, RecordingError, RecordingSettings, RecordingSource, Segment, Signals,
+    SkippedEntry, SkippedKind, is_signals, labels_left_out, muscles, ozdemir, three_dc, unit_of_table,
 };
 use tendon_signal::{canonical_unit, unit_factor};
 
@@ -407,7 +407,7 @@ fn labelled_recordings(
     let mut folder_of_file = BTreeMap::new();
     for folder in folders {
         if folder.is_file() {
-            match own_cues(settings, folder) {
+            match own_cues(settings, folder, skipped) {
                 Ok((file, own_unit)) => {
                     let own_unit = take_unit(folder, &own_unit, unit, skipped);
                     files.extend(own_unit.map(|own_unit| (file, None, own_unit)));
@@ -425,7 +425,7 @@ fn labelled_recordings(
             }
             let own_unit = match &recorded {
                 Some(recorded) => recorded.unit.clone(),
-                None if is_signals(&file.path) => Signals::read(&file.path, &[Channel::Index(0)])?.unit,
+                None if is_signals(&file.path) => read_signals(settings, &file.path)?.unit,
                 // What is wrong with a table shows when it is read.
                 None => unit_of_table(&file.path, &settings.channels).unwrap_or_default(),
             };
@@ -476,25 +476,33 @@ fn labelled_recordings(
     Ok(recordings)
 }
 
-/// A file that says itself what was done when, or why it cannot be used. Its unit becomes `unit` if that is empty.
-fn own_cues(settings: &DatasetSettings, file: &Path) -> Result<(LabelledFile, String), SkippedEntry> {
-    let skipped = |kind, reason: String| SkippedEntry { path: file.to_owned(), kind, reason };
-    let read = if is_signals(file) { signals_with_cues(file) } else { labelled_table(settings, file) };
-    let (segments, own_unit) = read.map_err(|error| match error {
-        RecordingError::SampleRateMissing { .. } => skipped(
+/// A file that says itself what was done when, and its unit, or why it cannot be used. Labels that are left out of it are listed.
+fn own_cues(
+    settings: &DatasetSettings,
+    file: &Path,
+    skipped: &mut Vec<SkippedEntry>,
+) -> Result<(LabelledFile, String), SkippedEntry> {
+    let entry = |kind, reason: String| SkippedEntry { path: file.to_owned(), kind, reason };
+    let read = if is_signals(file) {
+        read_signals(settings, file).map(|signals| (signals.segments(file), signals.unit, Vec::new()))
+    } else {
+        labelled_table(settings, file)
+    };
+    let (segments, own_unit, notices) = read.map_err(|error| match error {
+        RecordingError::SampleRateMissing { .. } => entry(
             SkippedKind::Unreadable,
             "it does not state its sampling rate: give it with --recording-rate-hz, e.g. 2000".to_owned(),
         ),
-        error => skipped(SkippedKind::Unreadable, error.below(file)),
+        error => entry(SkippedKind::Unreadable, error.below(file)),
     })?;
     if segments.iter().all(|segment| segment.cue.is_none()) {
-        return Err(skipped(
+        return Err(entry(
             SkippedKind::NoLabel,
             "no annotation or marker in it names a gesture: write a labels.csv beside it that says what it shows".to_owned(),
         ));
     }
     let (person, session) = labels::origin_of_name(file).ok_or_else(|| {
-        skipped(
+        entry(
             SkippedKind::Person,
             format!(
                 "neither its name nor its folder's says whose it is: call it sub-PERSON_….{}, or put it into a folder with the \
@@ -503,6 +511,12 @@ fn own_cues(settings: &DatasetSettings, file: &Path) -> Result<(LabelledFile, St
             ),
         )
     })?;
+    skipped.extend(notices.iter().filter_map(|notice| match notice {
+        Notice::LabelsLeftOut { column, labels, .. } => {
+            Some(entry(SkippedKind::OtherLabels, labels_left_out(column, labels)))
+        }
+        _ => None,
+    }));
     Ok((LabelledFile { path: file.to_owned(), person, session, segments }, own_unit))
 }
 
@@ -533,26 +547,44 @@ fn take_unit(file: &Path, own: &str, unit: &mut String, skipped: &mut Vec<Skippe
     Some(own.to_owned())
 }
 
-/// The trials of a file by its annotations or markers, and its unit.
-fn signals_with_cues(file: &Path) -> Result<(Vec<Segment>, String), RecordingError> {
-    let signals = Signals::read(file, &[Channel::Index(0)])?;
-    Ok((signals.segments(file), signals.unit))
+/// A file that describes itself, with its unit. Where nobody has chosen yet, the channels of `settings` may not be there: then
+/// its first one, of which the unit says nothing about EMG.
+fn read_signals(settings: &DatasetSettings, file: &Path) -> Result<Signals, RecordingError> {
+    Signals::read(file, &settings.channels).or_else(|_| {
+        let mut first = Signals::read(file, &[Channel::Index(0)])?;
+        first.unit.clear();
+        Ok(first)
+    })
 }
 
-/// The trials of a table by its column of labels, and its unit.
-fn labelled_table(settings: &DatasetSettings, file: &Path) -> Result<(Vec<Segment>, String), RecordingError> {
-    let label_column = settings.label_column.clone();
-    let mut channels = muscles(file, label_column.as_ref())?;
-    channels.truncate(1);
-    if channels.is_empty() {
-        channels.push(Channel::Index(0));
-    }
-    let settings = RecordingSettings {
-        channels,
-        sample_rate_hz: settings.recording_rate_hz,
-        repetition: None,
-        label_column,
+/// The trials of a table by its column of labels, its unit, and what its user should know. Where nobody has chosen yet, the
+/// channels of `settings` may not be there: then its unit is not known.
+fn labelled_table(
+    settings: &DatasetSettings,
+    file: &Path,
+) -> Result<(Vec<Segment>, String, Vec<Notice>), RecordingError> {
+    let open = |channels: Vec<Channel>| {
+        let settings = RecordingSettings {
+            channels,
+            sample_rate_hz: settings.recording_rate_hz,
+            repetition: None,
+            label_column: settings.label_column.clone(),
+        };
+        RecordingSource::open(file, &settings)
     };
-    let source = RecordingSource::open(file, &settings)?;
-    Ok((source.segments().to_vec(), source.unit().to_owned()))
+    let (source, unit) = match open(settings.channels.clone()) {
+        Ok(source) => {
+            let unit = source.unit().to_owned();
+            (source, unit)
+        }
+        Err(_) => {
+            let mut channels = muscles(file, settings.label_column.as_ref())?;
+            channels.truncate(1);
+            if channels.is_empty() {
+                channels.push(Channel::Index(0));
+            }
+            (open(channels)?, String::new())
+        }
+    };
+    Ok((source.segments().to_vec(), unit, source.notices().to_vec()))
 }

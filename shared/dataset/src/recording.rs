@@ -61,6 +61,15 @@ impl Recording {
     /// # Errors
     /// When it cannot be opened, or lacks a channel.
     pub fn open(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
+        let source = self.open_in_own_unit(settings)?;
+        match &self.content {
+            Content::ThreeDc { .. } | Content::OzdemirMat => Ok(source),
+            Content::Table { units, .. } | Content::Signals { units, .. } => units.convert(source),
+        }
+    }
+
+    /// The same with its samples as the file has them.
+    fn open_in_own_unit(&self, settings: &DatasetSettings) -> Result<RecordingSource, RecordingError> {
         match &self.content {
             Content::ThreeDc { repetition } => {
                 let settings = RecordingSettings {
@@ -72,13 +81,13 @@ impl Recording {
                 RecordingSource::open(&self.path, &settings)
             }
             Content::OzdemirMat => ozdemir::open(&self.path, &settings.channels, settings.recording_rate_hz),
-            Content::Table { segments, default_hz, units } => {
+            Content::Table { segments, default_hz, .. } => {
                 let rate_hz = settings.recording_rate_hz.or(*default_hz);
-                units.convert(RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)?)
+                RecordingSource::of_table(segments.clone(), &settings.channels, rate_hz)
             }
-            Content::Signals { segments, units } => {
+            Content::Signals { segments, .. } => {
                 let (segments, rate_hz) = (segments.clone(), settings.recording_rate_hz);
-                units.convert(RecordingSource::of_signals(&self.path, segments, &settings.channels, rate_hz)?)
+                RecordingSource::of_signals(&self.path, segments, &settings.channels, rate_hz)
             }
         }
     }
@@ -88,8 +97,9 @@ impl Recording {
     /// # Errors
     /// When it cannot be opened.
     pub fn file_channels(&self, settings: &DatasetSettings) -> Result<Vec<Channel>, RecordingError> {
-        let with = |channels: Vec<Channel>| self.open(&DatasetSettings { channels, ..settings.clone() });
-        let names = with(vec![Channel::Index(0)])?.file_names();
+        // The first one may be time or another sensor, whose unit is none of EMG.
+        let first = DatasetSettings { channels: vec![Channel::Index(0)], ..settings.clone() };
+        let names = self.open_in_own_unit(&first)?.file_names();
         let channel = |(index, name): (usize, &String)| {
             let is_unique = names.iter().filter(|other| *other == name).count() == 1;
             if is_unique && *name != index.to_string() {

@@ -888,6 +888,41 @@ fn tables_keep_their_unit_and_those_in_another_are_converted_to_that_of_the_firs
 }
 
 #[test]
+fn a_labelled_table_may_begin_with_time_or_another_sensor_and_its_unit_is_that_of_its_emg() {
+    let temporary = tempfile::tempdir().unwrap();
+    for (place, first) in
+        ["Time (s)", "Battery (V)", "Trigger (uV)", "Counter (n)", "Temperature (°C)"].iter().enumerate()
+    {
+        let folder = temporary.path().join(format!("anna-{place}"));
+        fs::create_dir(&folder).unwrap();
+        let row = |(row, samples): (usize, [i32; 2])| {
+            let label = if row < 1500 { "rest" } else { "😀" };
+            let first = if place == 1 { 3.7 } else { row as f64 / 1000.0 };
+            format!("{first},{},{},{label}\n", samples[0], samples[1])
+        };
+        let rows: String = noise(1, 3000).enumerate().map(row).collect();
+        fs::write(folder.join("a.csv"), format!("{first},EMG 1 (mV),EMG 2 (mV),label\n{rows}")).unwrap();
+        let settings = DatasetSettings {
+            channels: ["EMG 1", "EMG 2"].map(Channel::from).to_vec(),
+            recording_rate_hz: Some(1000.0),
+            label_column: Some("label".into()),
+            ..settings()
+        };
+        let found = dataset::list(&settings, std::slice::from_ref(&folder)).unwrap();
+        assert_eq!((found.recordings.len(), found.unit.as_str()), (1, "mV"), "{first}");
+        let names = found.recordings[0].file_channels(&settings).unwrap();
+        assert_eq!(names[1..], ["EMG 1", "EMG 2", "label"].map(Channel::from), "{first}");
+        let mut block = vec![0.0; 200];
+        found.recordings[0].stream(&settings, 100).unwrap().next_block(&mut block).unwrap().unwrap();
+        let expected = noise(1, 1).next().unwrap();
+        assert_eq!(block[0], expected[0] as f32, "{first}");
+        let [left_out] = &found.skipped[..] else { panic!("{:?}", found.skipped) };
+        assert_eq!(left_out.kind, SkippedKind::OtherLabels);
+        assert!(left_out.reason.starts_with("left out of column `label`: 1 trial of `😀`: "), "{left_out}");
+    }
+}
+
+#[test]
 fn a_trial_too_long_for_memory_is_listed_and_the_rest_is_used() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = temporary.path().join("own");

@@ -45,7 +45,7 @@ pub use error::RecordingError;
 pub use muscles::{first_muscles, muscles, unit_of_table};
 pub use recorder::{RecordedSession, RecordedTrial, Recorder, RecorderError, SimulatedFrom};
 pub use replay::{ReplayBlock, ReplayStream};
-pub use segment::{Notice, Segment, SkippedEntry, SkippedKind, summed_up};
+pub use segment::{Notice, Segment, SkippedEntry, SkippedKind, labels_left_out, summed_up};
 pub use signals::{Cue, Gap, Signals, SignalsError, is_signals};
 pub use source::{Frame, RecordingSettings, RecordingSource};
 pub use table::{Channel, ColumnKind};

@@ -63,6 +63,15 @@ pub enum Notice {
         /// The column.
         column: String,
     },
+    /// That column has labels that are no gesture.
+    LabelsLeftOut {
+        /// The file.
+        file: PathBuf,
+        /// The column.
+        column: String,
+        /// The labels, at least one, as they are written, and the trials of each.
+        labels: Vec<(String, u64)>,
+    },
     /// The chosen columns of a table state different units, and are brought to that of the first.
     UnitsDiffer {
         /// The file.
@@ -195,6 +204,9 @@ impl fmt::Display for Notice {
             Notice::Labels { file, column } => {
                 write!(formatter, "{}: column `{column}` says which gestures were made", file.display())
             }
+            Notice::LabelsLeftOut { file, column, labels } => {
+                write!(formatter, "{}: {}", file.display(), labels_left_out(column, labels))
+            }
             Notice::UnitsDiffer { file, unit } => {
                 write!(
                     formatter,
@@ -269,6 +281,24 @@ impl fmt::Display for Notice {
     }
 }
 
+/// What is left out of a column of labels: `left out of column `label`: 2 trials of `😀`: …`.
+pub fn labels_left_out(column: &str, labels: &[(String, u64)]) -> String {
+    /// So many labels are named.
+    const NAMED: usize = 8;
+    let trials = |(label, trials): &(String, u64)| {
+        format!("{trials} {} of `{label}`", if *trials == 1 { "trial" } else { "trials" })
+    };
+    let named = list(&labels[..labels.len().min(NAMED)], trials);
+    let more = match labels.len().saturating_sub(NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    format!(
+        "left out of column `{column}`: {named}{more}: a gesture has a name of its own, of 1 to 23 characters, without letters beyond \
+         a-z, or a whole number from 0"
+    )
+}
+
 /// One line for each kind of notice: the first of its kind, and how many more there are.
 pub fn summed_up(notices: &[Notice]) -> Vec<String> {
     let is_alike = |one: &Notice, other: &Notice| discriminant(one) == discriminant(other);
@@ -302,6 +332,8 @@ fn places(count: u64) -> String {
 pub enum SkippedKind {
     /// A trial of a gesture that is not asked for, or has no name.
     OtherGesture,
+    /// Trials of a table by their labels, which are no gesture.
+    OtherLabels,
     /// A table of which nothing says what it shows.
     NoLabel,
     /// A file that labels name, but that is not there.
@@ -336,6 +368,9 @@ impl SkippedKind {
     pub fn counted(self, count: usize) -> String {
         let (one, several) = match self {
             SkippedKind::OtherGesture => ("trial of another gesture", "trials of other gestures"),
+            SkippedKind::OtherLabels => {
+                ("recording with labels that are no gesture", "recordings with labels that are no gesture")
+            }
             SkippedKind::NoLabel => ("file without labels", "files without labels"),
             SkippedKind::NotThere => ("file that is not there", "files that are not there"),
             SkippedKind::Unreadable => ("recording that cannot be read", "recordings that cannot be read"),

@@ -245,13 +245,15 @@ pub(crate) fn choose(channels: &[Channel], names: &[String]) -> Result<Vec<usize
 /// The marker that ends a cue after which nothing is asked for. It names no gesture, as it has a space.
 pub(crate) const CUE_IS_OVER: &str = "cue is over";
 
-/// The gesture that an annotation or marker names, as `grip` or `cue grip`. Of numbers, 0 is rest.
+/// The gesture that an annotation or marker names, as `grip` or `cue grip`. Of numbers, 0 is rest, and those below 0, with a
+/// fraction, or too large are none.
 pub(crate) fn gesture_of(text: &str) -> Option<Gesture> {
     let text = text.trim().to_ascii_lowercase();
     let text = text.strip_prefix("cue ").unwrap_or(&text);
     match text.parse::<u32>() {
         Ok(0) => Some(Gesture::REST),
         Ok(number) => format!("gesture-{number}").parse().ok(),
+        Err(_) if text.parse::<f64>().is_ok() => None,
         Err(_) => text.parse().ok(),
     }
 }
@@ -301,6 +303,7 @@ mod tests {
         assert_eq!(name("0"), Some("rest".to_owned()));
         assert_eq!(name("12"), Some("gesture-12".to_owned()));
         assert_eq!(name(CUE_IS_OVER), None);
+        assert_eq!((name("-1"), name("99999999999"), name("2e3")), (None, None, None));
         assert_eq!((name("Recording paused"), name("gesture grip"), name("")), (None, None, None));
     }
 }

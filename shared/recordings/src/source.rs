@@ -179,10 +179,14 @@ impl RecordingSource {
             let is_undivided = matches!(&segments[..], [Segment { repetition: None, end_sample: None, .. }]);
             if let Some(column) = labels.or(table::truth(&columns)).filter(|_| is_undivided) {
                 let name = table.name(column);
-                match column_labels::segments(file, text.bytes(), column) {
+                match column_labels::divide(file, text.bytes(), column) {
                     Some(labelled) => {
-                        segments = labelled;
-                        notices.push(Notice::Labels { file: file.clone(), column: name });
+                        segments = labelled.segments;
+                        notices.push(Notice::Labels { file: file.clone(), column: name.clone() });
+                        if !labelled.left_out.is_empty() {
+                            let labels = labelled.left_out.into_iter().collect();
+                            notices.push(Notice::LabelsLeftOut { file: file.clone(), column: name, labels });
+                        }
                     }
                     None if labels.is_some() => {
                         return Err(RecordingError::NoLabels { file: file.clone(), column: name });

@@ -29,6 +29,7 @@ mod problem;
 mod quantity;
 mod timing;
 
+pub(crate) use cells::text_of;
 pub use channel::Channel;
 pub(crate) use channel::places;
 pub(crate) use choice::{cells_of_column, columns_by_name, find, truth};

@@ -446,6 +446,74 @@ fn any_column_says_what_was_done_if_asked_and_is_then_no_muscle() {
 }
 
 #[test]
+fn labels_that_are_no_gesture_are_counted_and_named() {
+    let labels = ["rest", "😀", "Grip 50%", "-1", "😀", "rest"];
+    let text = "EMG_a,EMG_b,EMG_c,EMG_d,gesture\n".to_owned()
+        + &rows(600, |row| format!("{},{}", samples(row, 4, ","), labels[row / 100]));
+    let (_folder, path) = file("emg.csv", &text);
+    let settings = RecordingSettings {
+        channels: ABCD.map(Channel::from).to_vec(),
+        sample_rate_hz: Some(1000.0),
+        ..RecordingSettings::default()
+    };
+    let summary = check(&path, &settings).unwrap();
+    let cues: Vec<_> = summary.cues.iter().filter_map(|span| span.segment.cue).collect();
+    assert_eq!(cues.iter().map(Gesture::name).collect::<Vec<_>>(), ["rest", "grip_50", "rest"]);
+    let said = summary.notices.last().unwrap().to_string();
+    assert!(said.contains("left out of column `gesture`: 1 trial of `-1`, 2 trials of `😀`: "), "{said}");
+}
+
+#[test]
+fn lines_with_more_cells_than_there_are_names_are_refused() {
+    let refused = |text: &str| {
+        let (_folder, path) = file("emg.csv", text);
+        first_muscles(&path, 2, None).unwrap_err().to_string()
+    };
+    let names = "EMG 1,EMG 2,EMG 3,EMG 4\n";
+    let with_commas = rows(100, |row| samples(row, 4, ",").replace('.', ","));
+    let said = refused(&format!("{names}{with_commas}"));
+    assert!(
+        said.contains("line 2, column 5: this line has 8 values, but the line above it names only 4 columns"),
+        "{said}"
+    );
+    assert!(said.contains("between values with decimal commas take ; or tabs"), "{said}");
+    let said = refused(&format!("a note\n{names}mV,mV,mV,mV\n{with_commas}"));
+    assert!(said.contains("line 4, column 5: this line has 8 values"), "{said}");
+    // As many words between blanks as there are cells are no names.
+    let said = refused(
+        &("Time (s),EMG 1 (mV)\n".to_owned() + &rows(100, |row| samples(row, 4, ",").replace('.', ""))),
+    );
+    assert!(said.contains("line 2, column 3: this line has 4 values"), "{said}");
+    // An unnamed first column that numbers the rows, cells that are empty throughout, and lines that name no columns.
+    let plain = |before: &str, index: bool, end: &str| {
+        let row = |row: usize| {
+            let index = if index { format!("{row},") } else { String::new() };
+            format!("{index}{}{end}", samples(row, 4, ","))
+        };
+        let (_folder, path) = file("emg.csv", &(before.to_owned() + &rows(100, row)));
+        first_muscles(&path, 4, None).unwrap()
+    };
+    let by_name = ["EMG 1", "EMG 2", "EMG 3", "EMG 4"].map(Channel::from);
+    let by_number = [0, 1, 2, 3].map(Channel::Index);
+    assert_eq!(plain(names, true, ""), by_name);
+    assert_eq!(plain(names, false, ","), by_name);
+    assert_eq!(plain(names, false, ",,"), by_number);
+    for before in ["recorded\n", "# Anna, Monday\n", "Subject:,Anna\n"] {
+        assert_eq!(plain(before, false, ""), by_number, "{before}");
+    }
+}
+
+#[test]
+fn line_ends_of_old_macs_are_named() {
+    for rows_of_file in [100, 60_000] {
+        let text = format!("{}\n{}", ABCD.join(","), rows(rows_of_file, |row| samples(row, 4, ",")));
+        let (_folder, path) = file("emg.csv", &text.replace('\n', "\r"));
+        let said = first_muscles(&path, 4, None).unwrap_err().to_string();
+        assert!(said.contains("line 1, column 1: its lines end with a carriage return (CR) alone"), "{said}");
+    }
+}
+
+#[test]
 fn columns_of_different_rates_are_not_read_together() {
     let text = "EMG 1 (2148.148),EMG 2 (1925.926)\n".to_owned() + &rows(50, |row| samples(row, 2, ","));
     let (_folder, path) = file("emg.csv", &text);

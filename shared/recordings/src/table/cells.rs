@@ -127,7 +127,7 @@ pub(super) fn is_text(line: &[u8]) -> bool {
 }
 
 /// Text in UTF-8, or else in Latin-1, as German and French programs write names and units.
-pub(super) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
+pub(crate) fn text_of(bytes: &[u8]) -> Cow<'_, str> {
     match std::str::from_utf8(bytes) {
         Ok(text) => Cow::Borrowed(text),
         Err(_) => Cow::Owned(bytes.iter().map(|byte| char::from(*byte)).collect()),

@@ -159,6 +159,12 @@ impl Head {
             }
             None => head.read_names(before, table),
         };
+        if let Some(last) = before.last().filter(|_| head.names.is_empty())
+            && let Some(names) = head.too_few_names(last, table)
+        {
+            let problem = TableProblem::FewerNames { names, values: columns };
+            return Err(error_at(first.lines + 1, names + 1, problem));
+        }
         head.read_preamble(before);
         Ok(head)
     }
@@ -209,7 +215,9 @@ impl Head {
             })
         };
         let others = [b',', b'\t', b';'].map(Separator::Byte);
-        let separators = std::iter::once(self.separator).chain(others).chain([Separator::Blanks]);
+        // Blanks within the names of `EMG 1,EMG 2` divide nothing.
+        let blanks = Some(Separator::Blanks).filter(|_| line.separator != self.separator);
+        let separators = std::iter::once(self.separator).chain(others).chain(blanks);
         // A line that is quoted as a whole is split within the quotes.
         let inner = unmarked.strip_prefix('"').and_then(|inner| inner.strip_suffix('"'));
         let texts = inner.filter(|inner| !inner.contains('"')).into_iter().chain([unmarked, text]);
@@ -234,6 +242,25 @@ impl Head {
             }
         }
         None
+    }
+
+    /// How many names stand in `line`, the last one before a table without names, if it was to name the columns and names too few:
+    /// then, decimal commas divide the values. Comments and settings (`Subject:, Anna`) are no names.
+    fn too_few_names(&self, line: &HeadLine<'_>, table: &[HeadLine<'_>]) -> Option<usize> {
+        let text = text_of(line.content);
+        let mut cells = quoted_cells(&text, line.separator);
+        while cells.last().is_some_and(String::is_empty) {
+            cells.pop();
+        }
+        let is_comment = text.trim_start().starts_with(['#', '%']);
+        let is_setting = cells.iter().any(|cell| cell.contains([':', '=']));
+        let is_filled =
+            |column: &usize| table.iter().any(|line| line.forms.get(*column) != Some(&Form::Missing));
+        let values = (0..self.columns).rfind(is_filled).map_or(0, |last| last + 1);
+        let is_too_few = (2..values).contains(&cells.len());
+        let is_of_names = self.separator == line.separator && line.separator != Separator::Blanks;
+        (is_of_names && is_too_few && line.numbers() == 0 && !is_comment && !is_setting)
+            .then_some(cells.len())
     }
 
     /// Takes a unit or a rate of a column from a cell.
@@ -304,7 +331,7 @@ fn head_lines(text: &[u8]) -> Result<Vec<HeadLine<'_>>, TableError> {
             if found.iter().any(|line| line.numbers() > 0) {
                 break;
             }
-            return Err(error_at(lines + 1, 1, TableProblem::NotText));
+            return Err(error_at(lines + 1, 1, unreadable(content)));
         }
         if !content.trim_ascii().is_empty() {
             let separator = Separator::of_line(content);
@@ -325,6 +352,12 @@ fn head_lines(text: &[u8]) -> Result<Vec<HeadLine<'_>>, TableError> {
 /// Whether a line is text in any encoding that has ASCII: units in a head are often not in UTF-8.
 fn is_printable(line: &[u8]) -> bool {
     !line.iter().any(|byte| byte.is_ascii_control() && *byte != b'\t')
+}
+
+/// Why a line cannot be read as text.
+fn unreadable(line: &[u8]) -> TableProblem {
+    let has_other = line.iter().any(|byte| byte.is_ascii_control() && !matches!(byte, b'\t' | b'\r'));
+    if line.contains(&b'\r') && !has_other { TableProblem::LineEnds } else { TableProblem::NotText }
 }
 
 fn form(cell: &[u8], separator: Separator) -> Form {

@@ -63,6 +63,23 @@ pub enum TableProblem {
     /// Bytes that are not UTF-8 text, or control characters.
     #[error("binary or non-UTF-8 bytes: save the recording as UTF-8 text, one line a sample")]
     NotText,
+    /// Lines that end as on old Macs.
+    #[error(
+        "its lines end with a carriage return (CR) alone, as old Mac programs write them: save the recording with line ends of \
+         Unix (LF) or Windows (CR LF)"
+    )]
+    LineEnds,
+    /// More values in a line than names above them.
+    #[error(
+        "this line has {values} values, but the line above it names only {names} columns: between values with decimal commas take ; or \
+         tabs, otherwise name every column, or delete the line of names"
+    )]
+    FewerNames {
+        /// Names of columns.
+        names: usize,
+        /// Values in the line.
+        values: usize,
+    },
     /// No channel was chosen.
     #[error("no channel is chosen: choose at least one of the {columns} (channels 0 to {last})", last = .columns - 1)]
     NoChannels {
