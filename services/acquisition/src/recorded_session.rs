@@ -30,6 +30,7 @@ pub struct RecordedSession {
     start_ns: u64,
     duration_s: f64,
     is_whole: bool,
+    is_damaged_elsewhere: bool,
     damaged_pieces: u64,
     damaged_bytes: u64,
     /// What its source said that it measures.
@@ -66,6 +67,7 @@ impl RecordedSession {
             start_ns: 0,
             duration_s: last_ns.saturating_sub(first_ns) as f64 / 1e9,
             is_whole: reader.is_whole(),
+            is_damaged_elsewhere: reader.is_damaged_elsewhere(),
             damaged_pieces: reader.damaged_pieces(),
             damaged_bytes: reader.damaged_bytes(),
             signal,
@@ -75,6 +77,9 @@ impl RecordedSession {
     /// What to tell the user.
     pub fn description(&self) -> String {
         let damaged = match self.damaged_pieces {
+            0 if self.is_damaged_elsewhere => {
+                ", damaged outside its samples, so what it says of the session may be wrong".to_owned()
+            }
             0 => String::new(),
             pieces => format!(", damaged, {pieces} of its pieces ({} bytes) left out", self.damaged_bytes),
         };

@@ -13,7 +13,7 @@ use signal_hook::flag;
 use tendon_export::{
     BidsFacts, ExportError, Survey, check_tables, is_exported_xdf, write_bids, write_tables, write_xdf,
 };
-use tendon_output::OutputFile;
+use tendon_output::{OutputFile, OutputFolder, check_distinct};
 use tendon_people::PersonInUse;
 
 use crate::Failure;
@@ -71,6 +71,9 @@ pub fn export(options: &Options) -> Result<(), Failure> {
         check_tables(folder, options.force).map_err(Failure::input)?;
     }
     let xdf = options.xdf.as_deref().map(|file| check_file(file, options.force)).transpose()?;
+    let folders = options.csv.iter().chain(&options.bids).map(|folder| OutputFolder::check(folder));
+    let folders: Vec<OutputFolder> = folders.collect::<Result<_, _>>().map_err(Failure::input)?;
+    check_distinct(&xdf, &folders, [path.as_path()]).map_err(Failure::input)?;
     // The one that tells what is there, that of the tables, two of BIDS, that of XDF.
     let passes = 1
         + usize::from(options.csv.is_some())
@@ -119,6 +122,18 @@ fn tell_what_is_missing(survey: &Survey) {
             survey.damaged_bytes
         ));
     }
+    if survey.is_damaged_elsewhere {
+        tell(format_args!(
+            "{path}: the file is damaged outside its samples, so what it says of the session (when it began, names of \
+             channels, how the task went) may be wrong; if there is another copy of it, export that one"
+        ));
+    }
+    if survey.lacks_person {
+        tell(format_args!(
+            "{path}: the session had a person, but who it was is damaged in the file: what was exported names nobody, so \
+             `tendon delete` will not find it"
+        ));
+    }
     if !survey.is_whole {
         let why = if survey.damaged_pieces > 0 {
             "cannot be read to its end"
@@ -136,7 +151,7 @@ fn tell_what_is_missing(survey: &Survey) {
 fn check_file(path: &Path, force: bool) -> Result<OutputFile, Failure> {
     let file = OutputFile::check(path).map_err(Failure::input)?.private();
     if !file.replaces() {
-        return Ok(file);
+        return Ok(if force { file } else { file.only_new() });
     }
     if !force {
         return Err(Failure::input(ExportError::Exists { path: path.to_owned() }));
@@ -207,4 +222,42 @@ impl Reading {
 
 fn megabytes(bytes: u64) -> usize {
     (bytes / 1_000_000) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_formats_in_one_place_are_refused_before_anything_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (same, link) = (folder.path().join("same"), folder.path().join("link/same"));
+        std::os::unix::fs::symlink(".", folder.path().join("link")).unwrap();
+        let refused = |csv: Option<&PathBuf>, bids: Option<&PathBuf>, xdf: Option<&PathBuf>| {
+            let options = Options {
+                session: folder.path().join("session.mcap"),
+                csv: csv.cloned(),
+                bids: bids.cloned(),
+                xdf: xdf.cloned(),
+                task: None,
+                placement: None,
+                reference: None,
+                power_line_hz: None,
+                force: true,
+            };
+            format!("{:?}", export(&options).unwrap_err())
+        };
+        for (csv, bids, xdf) in [
+            (Some(&same), None, Some(&same)),
+            (Some(&same), Some(&link), None),
+            (None, Some(&link), Some(&same)),
+            (Some(&same), Some(&same), Some(&same)),
+        ] {
+            let refused = refused(csv, bids, xdf);
+            assert!(refused.contains("is named for two outputs"), "{refused}");
+        }
+        let below = refused(Some(&same.join("tables")), None, Some(&same));
+        assert!(below.contains("lies below"), "{below}");
+        assert!(!same.exists());
+    }
 }

@@ -14,7 +14,7 @@ use tendon_classifier::{Adaptation, ClassifierError};
 use tendon_config::{AcquisitionSettings, Config, Gestures, Pace, Realtime, Source};
 use tendon_gesture::Strategy;
 use tendon_people::Person;
-use tendon_session_file::is_session_file;
+use tendon_session_file::{MODEL, REST_MOVE_MODEL, is_session_file};
 use tendon_transport::{Delivery, SessionName};
 use tendon_zones::TaskKind;
 
@@ -179,8 +179,19 @@ impl Options {
         if self.base.file().is_some() {
             return Ok((self.base.read()?, None));
         }
-        let (config, folder) = configuration_of(recorded)?;
+        let (config, folder) = configuration_of(recorded, |file| self.names(file))?;
         Ok((self.base.with_assignments(config)?, folder))
+    }
+
+    /// Whether the command line names another model or person in place of this one of a recording. With a person there is
+    /// no model.
+    fn names(&self, file: &str) -> bool {
+        let model = match file {
+            MODEL => &self.model,
+            REST_MOVE_MODEL => &self.rest_move_model,
+            _ => &None,
+        };
+        model.is_some() || self.person.is_some() || self.base.assigned(&format!("inference.{file}")).is_some()
     }
 
     /// Where the samples come from.

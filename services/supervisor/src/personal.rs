@@ -203,6 +203,8 @@ pub fn set_person(person: &str, base: &Base, config: &mut Config) -> anyhow::Res
     }
     config.decision.strategy = Strategy::Personal;
     config.inference.person = Some(file.clone());
+    // That of a recorded session is of the person who is replaced.
+    config.inference.person_checksum = None;
     Ok((file, person))
 }
 

@@ -55,12 +55,16 @@ pub fn file_of(path: &Path) -> anyhow::Result<PathBuf> {
 
 /// The configuration for the replay of the session recorded in the file at `path`: that of the recording, with the arm
 /// simulated. Models and person that are no longer where they were are taken out of the file, into the folder that comes
-/// with it.
+/// with it. `is_given` says of a model or the person, by its name in the recording, whether another one was asked for.
 ///
 /// # Errors
 ///
-/// When the file cannot be read or is none of a session.
-pub fn configuration_of(path: &Path) -> anyhow::Result<(Config, Option<TempDir>)> {
+/// When the file cannot be read or is none of a session, or what is needed of its models and person is damaged: the file
+/// that lies where it was may be another one by now.
+pub fn configuration_of(
+    path: &Path,
+    is_given: impl Fn(&str) -> bool,
+) -> anyhow::Result<(Config, Option<TempDir>)> {
     let mut head = Head::read(path)?;
     let mut config = Config::parse(&head.configuration, path)
         .with_context(|| format!("{}: the recorded configuration", path.display()))?;
@@ -76,6 +80,11 @@ pub fn configuration_of(path: &Path) -> anyhow::Result<(Config, Option<TempDir>)
     config.robot.backend = Backend::Simulate;
     let inference = &mut config.inference;
     inference.runtime_library = inference.runtime_library.take().filter(|library| library.exists());
+    let needed: &[&str] = match config.decision.strategy {
+        Strategy::Personal => &[PERSON],
+        Strategy::Direct | Strategy::Threshold => &[MODEL],
+        Strategy::TwoStage => &[MODEL, REST_MOVE_MODEL],
+    };
     let now = files(&config).unwrap_or_default();
     let mut folder: Option<TempDir> = None;
     for (name, place) in [
@@ -83,7 +92,17 @@ pub fn configuration_of(path: &Path) -> anyhow::Result<(Config, Option<TempDir>)
         (REST_MOVE_MODEL, &mut config.inference.rest_move_model),
         (PERSON, &mut config.inference.person),
     ] {
-        let Some(bytes) = head.files.remove(name) else { continue };
+        let Some(bytes) = head.files.remove(name) else {
+            ensure!(
+                head.is_whole || !needed.contains(&name) || is_given(name),
+                "{}: the recording's copy of the {} is damaged: replay another copy of the recording, or name a {} with --{}",
+                path.display(),
+                name.replace('_', "-"),
+                if name == PERSON { "person" } else { "model" },
+                name.replace('_', "-")
+            );
+            continue;
+        };
         let is_same = |path: &PathBuf| tendon_input::read(path, LARGEST_FILE).is_ok_and(|now| now == bytes);
         if now.get(name).is_some_and(is_same) {
             continue;
@@ -199,4 +218,57 @@ fn table(topic: &str, found: &Differences) -> String {
         )
     });
     counts + &first.collect::<String>()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use tendon_session_file::{CONFIGURATION, Writer};
+
+    use super::*;
+
+    #[test]
+    fn a_damaged_model_or_person_of_a_recording_is_refused_unless_another_one_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, now) = (folder.path().join(FILE_NAME), folder.path().join("now"));
+        fs::write(&now, "what lies there by now").unwrap();
+        for (strategy, name) in
+            [("direct", MODEL), ("two_stage", MODEL), ("two_stage", REST_MOVE_MODEL), ("personal", PERSON)]
+        {
+            let mut writer = Writer::begin(fs::File::create(&path).unwrap(), "test", 0).unwrap();
+            let configuration = format!(
+                "[inference]\nmodel = {now:?}\nrest_move_model = {now:?}\nperson = {now:?}\n\
+                 [decision]\nstrategy = \"{strategy}\"\n"
+            );
+            writer.attach(CONFIGURATION, "application/toml", configuration.as_bytes()).unwrap();
+            for file in if strategy == "personal" { vec![PERSON] } else { vec![MODEL, REST_MOVE_MODEL] } {
+                writer
+                    .attach(file, "application/octet-stream", format!("as run: {file};").as_bytes())
+                    .unwrap();
+            }
+            writer.finish().unwrap();
+            drop(writer);
+            let (config, taken) = configuration_of(&path, |_| false).unwrap();
+            let taken = taken.unwrap();
+            let inference = config.inference;
+            let file = match name {
+                MODEL => inference.model,
+                REST_MOVE_MODEL => inference.rest_move_model,
+                _ => inference.person,
+            };
+            let file = file.unwrap();
+            assert!(file.starts_with(taken.path()), "{}", file.display());
+
+            let mut bytes = fs::read(&path).unwrap();
+            let text = format!("as run: {name};");
+            let place = bytes.windows(text.len()).position(|part| part == text.as_bytes()).unwrap();
+            bytes[place] ^= 1;
+            fs::write(&path, bytes).unwrap();
+            let refused = configuration_of(&path, |other| other != name).unwrap_err().to_string();
+            let option = format!("with --{}", name.replace('_', "-"));
+            assert!(refused.contains(FILE_NAME) && refused.ends_with(&option), "{refused}");
+            configuration_of(&path, |given| given == name).unwrap();
+        }
+    }
 }

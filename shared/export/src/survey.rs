@@ -8,6 +8,7 @@ use std::time::{Duration, SystemTime};
 use serde::Serialize;
 use serde_json::Value;
 use tendon_config::Config;
+use tendon_gesture::Strategy;
 use tendon_people::{PersonName, name_in};
 use tendon_session_file::{
     Block, CONFIGURATION, ContextRecord, Message, PERSON, Reader, Record, TASK, TraceRecord,
@@ -83,6 +84,10 @@ pub struct Survey {
     pub ranges: Vec<(f32, f32)>,
     /// Whether the file was finished; `false` if its recorder was killed.
     pub is_whole: bool,
+    /// Whether the file is damaged outside its samples, so that what it says of the session may be wrong.
+    pub is_damaged_elsewhere: bool,
+    /// Whether the session had a person, and the file does not tell any more who it was.
+    pub lacks_person: bool,
     /// Damaged pieces of the file that were left out.
     pub damaged_pieces: u64,
     /// Their bytes.
@@ -118,6 +123,7 @@ impl Survey {
             ExportError::Configuration { path: path.to_owned(), source: Box::new(source) }
         })?;
         let begun_ns = samples.begun_ns;
+        let lacks_person = config.decision.strategy == Strategy::Personal && said.person.is_none();
         Ok(Survey {
             path: path.to_owned(),
             bytes: reader.bytes_read(),
@@ -140,6 +146,8 @@ impl Survey {
             unusable: samples.unusable,
             ranges: samples.ranges.into_iter().map(|range| range.unwrap_or_default()).collect(),
             is_whole: reader.is_whole(),
+            is_damaged_elsewhere: reader.is_damaged_elsewhere(),
+            lacks_person,
             damaged_pieces: reader.damaged_pieces(),
             damaged_bytes: reader.damaged_bytes(),
         })

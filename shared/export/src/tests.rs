@@ -193,6 +193,30 @@ fn a_file_that_was_cut_is_exported_up_to_there_and_one_without_samples_is_refuse
 }
 
 #[test]
+fn a_session_whose_person_or_beginning_is_damaged_says_so() {
+    let (folder, path) = eventful().file();
+    let bytes = std::fs::read(&path).unwrap();
+    let whole = survey(&path);
+    assert!(whole.person.is_some() && !whole.lacks_person && !whole.is_damaged_elsewhere);
+    let damaged = |text: &str| {
+        let mut bytes = bytes.clone();
+        let place = bytes.windows(text.len()).position(|part| part == text.as_bytes()).unwrap();
+        bytes[place + text.len() - 1] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        survey(&path)
+    };
+    let person = damaged("name = \"anna");
+    assert!(person.person.is_none() && person.lacks_person && person.damaged_pieces == 1);
+    let channels = damaged("flexor");
+    assert_eq!(channels.channels[0], "flexos");
+    assert!(channels.is_damaged_elsewhere && !channels.lacks_person && channels.damaged_pieces == 0);
+    let tables = folder.path().join("tables");
+    write_tables(&channels, &tables, false, |_| Ok(())).unwrap();
+    let session = std::fs::read_to_string(tables.join("session.json")).unwrap();
+    assert!(session.contains("\"is_damaged_elsewhere\": true"), "{session}");
+}
+
+#[test]
 fn an_export_that_fails_leaves_nothing() {
     let (folder, path) = eventful().file();
     let surveyed = survey(&path);

@@ -47,6 +47,12 @@ pub enum OutputError {
         /// The file.
         path: PathBuf,
     },
+    /// Something came to be there while the command ran.
+    #[error("{} came to be there meanwhile, and stays as it is: name another file, or add --force", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
     /// A named pipe without a reader.
     #[error("nobody reads the pipe {}: start its reader first, or name a file", path.display())]
     NobodyReads {

@@ -29,6 +29,8 @@ pub struct OutputFile {
     pub(crate) state: State,
     /// Permissions of the new file, less the umask.
     mode: u32,
+    /// Whether a file that came to be since the check stays.
+    is_new: bool,
     /// A pipe stays open from the check on: its reader would take it for ended.
     pipe: Option<Arc<File>>,
 }
@@ -71,7 +73,7 @@ impl OutputFile {
             Err(error) if error.kind() == io::ErrorKind::NotFound => State::Nothing,
             Err(source) => return Err(OutputError::Write { path: owned(), source }),
         };
-        let file = OutputFile { path: owned(), target, state, mode: MODE, pipe };
+        let file = OutputFile { path: owned(), target, state, mode: MODE, is_new: false, pipe };
         if state == State::Special {
             return Ok(file);
         }
@@ -87,6 +89,12 @@ impl OutputFile {
     #[must_use]
     pub fn private(self) -> OutputFile {
         OutputFile { mode: PRIVATE_MODE, ..self }
+    }
+
+    /// The same file, which is written only where nothing is yet: also one that comes to be after the check is not replaced.
+    #[must_use]
+    pub fn only_new(self) -> OutputFile {
+        OutputFile { is_new: true, ..self }
     }
 
     /// Where the file goes.
@@ -117,7 +125,7 @@ impl OutputFile {
         fill(temporary.as_file_mut(), write)
             .and_then(|()| temporary.as_file().sync_all())
             .map_err(|source| self.error(source))?;
-        temporary.persist(&self.target).map_err(|error| self.error(error.error))?;
+        if self.is_new { self.put_new(temporary) } else { self.put(temporary) }?;
         // So that the new name, too, survives a loss of power. Some file systems cannot; the file is whole all the same.
         let _ = File::open(self.folder()).and_then(|folder| folder.sync_all());
         Ok(())
@@ -142,6 +150,28 @@ impl OutputFile {
             .map_err(|error| OutputError::Content { path: self.path.clone(), reason: error.to_string() })?;
         bytes.push(b'\n');
         self.write_bytes(&bytes)
+    }
+
+    /// Puts the finished file in place of what is there.
+    fn put(&self, finished: NamedTempFile) -> Result<(), OutputError> {
+        finished.persist(&self.target).map(drop).map_err(|error| self.error(error.error))
+    }
+
+    /// Puts the finished file where nothing is.
+    fn put_new(&self, finished: NamedTempFile) -> Result<(), OutputError> {
+        let refused = |source: io::Error| match source.kind() {
+            io::ErrorKind::AlreadyExists => OutputError::Exists { path: self.path.clone() },
+            _ => self.error(source),
+        };
+        match finished.persist_noclobber(&self.target) {
+            Ok(_) => Ok(()),
+            Err(error) if error.error.kind() == io::ErrorKind::AlreadyExists => Err(refused(error.error)),
+            // The file system can neither rename so nor link. An empty file takes the place first: only one can make it.
+            Err(error) => {
+                File::create_new(&self.target).map_err(refused)?;
+                self.put(error.file).inspect_err(|_| drop(fs::remove_file(&self.target)))
+            }
+        }
     }
 
     fn folder(&self) -> &Path {
@@ -296,6 +326,20 @@ mod tests {
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
         file.write_bytes(b"new").unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_that_came_to_be_after_the_check_stays_where_only_a_new_one_is_wanted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("session.xdf");
+        let [first, second] = [(); 2].map(|()| OutputFile::check(&path).unwrap().only_new());
+        let late = second.write(|out| {
+            out.write_all(b"second")?;
+            first.write_bytes(b"first").map_err(io::Error::other)
+        });
+        assert!(matches!(late, Err(OutputError::Exists { .. })), "{late:?}");
+        assert_eq!(fs::read(&path).unwrap(), b"first");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 

@@ -11,7 +11,7 @@
 //!
 //! A file that is there already is replaced: people run a command again with the same options. It stays whole until the
 //! new one is complete, and [`OutputFile::replaces`] lets the command say so before it starts. Devices and pipes, such
-//! as /dev/stdout, are written to directly.
+//! as /dev/stdout, are written to directly. [`OutputFile::only_new`] replaces nothing.
 #![forbid(unsafe_code)]
 
 mod distinct;

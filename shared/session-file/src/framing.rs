@@ -11,6 +11,7 @@
 use std::io::{self, Read};
 use std::ops::Range;
 
+use crc32fast::Hasher;
 use mcap::records::op;
 
 /// First bytes of every MCAP file.
@@ -47,6 +48,8 @@ pub(crate) struct Framing<R> {
     has_magic: bool,
     bytes_read: u64,
     bytes_passed_over: u64,
+    /// Of all that was forgotten.
+    checksum: Hasher,
 }
 
 impl<R: Read> Framing<R> {
@@ -60,6 +63,7 @@ impl<R: Read> Framing<R> {
             has_magic: false,
             bytes_read: 0,
             bytes_passed_over: 0,
+            checksum: Hasher::new(),
         }
     }
 
@@ -76,6 +80,13 @@ impl<R: Read> Framing<R> {
     /// The content of the record that was given last.
     pub(crate) fn content(&self, content: Range<usize>) -> &[u8] {
         &self.bytes[content]
+    }
+
+    /// The checksum of the file up to the record with this content, which was given last.
+    pub(crate) fn checksum_before(&self, content: &Range<usize>) -> u32 {
+        let mut checksum = self.checksum.clone();
+        checksum.update(&self.bytes[..content.start - HEAD]);
+        checksum.finalize()
     }
 
     /// The records in the content of a chunk, for [`Framing::next_in`]; `None` if they are damaged.
@@ -187,6 +198,7 @@ impl<R: Read> Framing<R> {
 
     fn forget_before_next(&mut self) {
         if self.next >= PIECE {
+            self.checksum.update(&self.bytes[..self.next]);
             self.bytes.drain(..self.next);
             self.next = 0;
         }

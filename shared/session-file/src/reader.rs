@@ -5,6 +5,8 @@
 //!                                                        └── wrong: left out and counted; what comes behind is read
 //! ```
 //!
+//! Metadata have no checksum of their own. That of the whole file, which the end of the data holds, tells that they are damaged.
+//!
 //! `framing.rs` says where each record begins, also behind one whose length is damaged.
 
 use std::collections::{BTreeMap, HashMap};
@@ -143,6 +145,7 @@ pub struct Reader<R> {
     has_header: bool,
     is_over: bool,
     is_whole: bool,
+    is_damaged_elsewhere: bool,
     damaged_pieces: u64,
     /// Of chunks whose place is known.
     damaged_bytes: u64,
@@ -179,6 +182,7 @@ impl<R: Read> Reader<R> {
             has_header: false,
             is_over: false,
             is_whole: false,
+            is_damaged_elsewhere: false,
             damaged_pieces: 0,
             damaged_bytes: 0,
         }
@@ -198,6 +202,12 @@ impl<R: Read> Reader<R> {
     /// Pieces, each a chunk, an attached file or bytes between two chunks, that are damaged and were left out so far.
     pub fn damaged_pieces(&self) -> u64 {
         self.damaged_pieces
+    }
+
+    /// Whether a whole file is damaged though none of its pieces is: in what has no checksum of its own, such as the metadata.
+    /// Known at the end of the file.
+    pub fn is_damaged_elsewhere(&self) -> bool {
+        self.is_damaged_elsewhere
     }
 
     /// Bytes of these pieces.
@@ -306,8 +316,12 @@ impl<R: Read> Reader<R> {
                     return Ok(Some(Raw::Attached(Record::Metadata { name, facts })));
                 }
                 // So does the index of the file, which comes behind it.
-                Ok(McapRecord::DataEnd(_)) => {
+                Ok(McapRecord::DataEnd(end)) => {
                     self.is_whole = true;
+                    // 0 where the writer did not count.
+                    let is_right =
+                        [0, self.framing.checksum_before(&content)].contains(&end.data_section_crc);
+                    self.is_damaged_elsewhere = !is_right && self.damaged_pieces == 0;
                     break;
                 }
                 // No writer of ours writes anything else outside a chunk.

@@ -237,6 +237,45 @@ fn a_damaged_byte_spoils_its_chunk_alone() {
 }
 
 #[test]
+fn a_damaged_byte_of_the_metadata_is_said_though_no_piece_is_left_out() {
+    let session = undisturbed(2000);
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = Writer::begin(&mut bytes, "test-name", 0).unwrap();
+    for name in ["provenance", "stages"] {
+        writer.metadata(name, [("json", format!("{{\"fact\":\"{name} said\"}}"))]).unwrap();
+    }
+    // More than is kept in memory at a time.
+    session.messages.iter().for_each(|message| writer.write(message, 1).unwrap());
+    writer.metadata(TASK, [("json", "{\"fact\":\"task said\"}".to_owned())]).unwrap();
+    writer.finish().unwrap();
+    drop(writer);
+    let whole = bytes.into_inner();
+    let read = |bytes: &[u8]| {
+        let mut reader = Reader::new(bytes, Path::new("session.mcap"));
+        while reader.next().unwrap().is_some() {}
+        (reader.is_whole(), reader.is_damaged_elsewhere(), reader.damaged_pieces())
+    };
+    assert_eq!(read(&whole), (true, false, 0));
+    for text in ["test-name", "monotonic_to_time", "provenance said", "stages said", "task said"] {
+        let place = whole.windows(text.len()).position(|part| part == text.as_bytes()).unwrap();
+        for bit in 0..8 {
+            let mut bytes = whole.clone();
+            bytes[place + 3] ^= 1 << bit;
+            // A byte that is no text is no metadata, which is left out.
+            let (is_whole, is_damaged_elsewhere, pieces) = read(&bytes);
+            assert!(is_whole && is_damaged_elsewhere == (pieces == 0), "{text}, bit {bit}");
+            assert!(bit == 7 || is_damaged_elsewhere, "{text}, bit {bit}");
+        }
+    }
+    // What was damaged before is said as such, and a file that was cut has no checksum.
+    let mut bytes = whole.clone();
+    let chunk = chunks_of(&whole)[1].clone();
+    bytes[chunk.end - 1] ^= 1;
+    assert_eq!(read(&bytes), (true, false, 1));
+    assert_eq!(read(&whole[..chunk.end]), (false, false, 0));
+}
+
+#[test]
 fn a_chunk_of_any_damaged_length_is_left_out_alone() {
     let session = undisturbed(40);
     let whole = session.file(3);

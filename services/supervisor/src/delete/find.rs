@@ -21,8 +21,6 @@ const DEEPEST: usize = 32;
 /// Largest file whose text is looked at.
 const LARGEST_TEXT: u64 = 64 << 20;
 
-/// Endings of files that may be a person's.
-const KINDS: [&str; 8] = ["mcap", "xdf", "bdf", "toml", "person", "tendon-prior", "onnx", "json"];
 /// The file that a data set has beside its manifest.
 const WINDOWS: &str = "windows.npy";
 
@@ -195,13 +193,14 @@ impl Found {
         }
         let name_of_file = path.file_name().unwrap_or_default();
         let ending = path.extension().unwrap_or_default().to_string_lossy().into_owned();
-        if KINDS.contains(&ending.as_str())
-            && let Err(error) = tendon_input::open(path)
-        {
+        // Whatever its name, it may hold a session.
+        if let Err(error) = tendon_input::open(path) {
             return self.cannot_read(path, &error);
         }
+        if is_session_file(path) || name_of_file == FILE_NAME {
+            return self.take_recording(path, name);
+        }
         match ending.as_str() {
-            "mcap" if is_session_file(path) || name_of_file == FILE_NAME => self.take_recording(path, name),
             "xdf" if is_xdf_of(path, name) => self.add(path, "a session as XDF", How::File),
             "bdf" if is_bdf_of(path, name) => {
                 self.add(path, "a session as BDF", How::Files(with_sidecars(path)));
@@ -438,7 +437,11 @@ mod tests {
             fs::create_dir(inside.join(folder)).unwrap();
             fs::write(inside.join(folder).join("session.mcap"), damaged).unwrap();
         }
+        for copy in ["session.mcap.bak", "session", "x.bin"] {
+            fs::write(inside.join("whole").join(copy), &bytes).unwrap();
+        }
         session_of(&inside.join("other/session.mcap"), "ben");
+        fs::copy(inside.join("other/session.mcap"), inside.join("other/session.bak")).unwrap();
         write(&inside.join("tables/.tendon-a1b2c3/session.json"), r#"{"person":"anna","recording":{}}"#);
         write(&inside.join("tables/.tendon-a1b2c3/signal.csv"), "time_s\n");
         let people = "participant_id\tpseudonym\nsub-anna\tanna\nsub-ben\tben\n";
@@ -475,8 +478,11 @@ mod tests {
                 "set",
                 "study/.tendon-a1b2c3",
                 "tables/.tendon-a1b2c3",
+                "whole/session",
                 "whole/session.mcap",
+                "whole/session.mcap.bak",
                 "whole/session.toml",
+                "whole/x.bin",
             ]
         );
         assert_eq!(

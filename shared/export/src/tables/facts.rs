@@ -33,6 +33,8 @@ struct Recording {
     is_whole: bool,
     /// Pieces of the file that are damaged and were left out.
     damaged_pieces: u64,
+    /// Whether it is damaged elsewhere, so that what it says of the session may be wrong.
+    is_damaged_elsewhere: bool,
 }
 
 /// Its text.
@@ -54,6 +56,7 @@ pub(super) fn session(survey: &Survey) -> Vec<u8> {
             bytes: survey.bytes,
             is_whole: survey.is_whole,
             damaged_pieces: survey.damaged_pieces,
+            is_damaged_elsewhere: survey.is_damaged_elsewhere,
         },
         provenance: &survey.provenance,
     };

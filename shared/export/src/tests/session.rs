@@ -166,8 +166,8 @@ impl Session {
         let mut bytes = Cursor::new(Vec::new());
         let mut writer = Writer::begin(&mut bytes, "test", BEGUN_NS).unwrap();
         writer.metadata("provenance", [("json", r#"{"version":"1.2.3"}"#.to_owned())]).unwrap();
-        let configuration =
-            "session = \"test\"\n[dsp.windows]\nwindow_samples = 20\nincrement_samples = 10\n";
+        let configuration = "session = \"test\"\n[dsp.windows]\nwindow_samples = 20\nincrement_samples = 10\n\
+             [decision]\nstrategy = \"personal\"\n";
         writer.attach(CONFIGURATION, "application/toml", configuration.as_bytes()).unwrap();
         let person =
             b"format = \"tendon-person\"\nversion = 99\n\nname = \"anna\"\n[made]\nname = \"nobody\"\n";
