@@ -3,7 +3,6 @@
     page.py stop                   # 100 presses of STOP while the arm moves: press to the arm's own stop on the wire
     page.py memory                 # an hour of a session: memory of browser and programs, once a minute
     page.py pixel                  # a minute of a session: muscle to pixel, as the page measures and shows it
-    page.py viewers                # sessions without a page, with one, and with two who look at it, in turns: latencies
 
     browser ── press ──▶ tendon-page ─▶ robot ──▶ Tap ──▶ xarm-emulator       one clock: this program's
                                               ◀──────◀
@@ -13,13 +12,11 @@ nothing but Python is needed besides.
 """
 
 import argparse
-import base64
 import json
 import os
 import pathlib
 import random
 import socket
-import statistics
 import struct
 import sys
 import threading
@@ -29,8 +26,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests/browser"))
 
 from browser import Browser, find_program  # noqa: E402
-from case import IS_LIVE, TITLE  # noqa: E402
-from programs import Emulator, Home, find_programs, wait_until  # noqa: E402
+from case import IS_LIVE, MAY_ARM, TITLE  # noqa: E402
+from programs import Emulator, Home, children, find_programs, wait_until  # noqa: E402
 
 # Of the arm's protocol: transaction, protocol, length of what follows; then a register and what is written there.
 HEAD = struct.Struct(">HHH")
@@ -38,10 +35,6 @@ SET_STATE = 0x0C
 STOPPED = 4
 # A loaded machine is slow.
 LIMIT_S = 60.0
-# Of the sessions that are looked at.
-CHANNELS = 8
-WHOLE = "newest sample to command, p50"
-SHARE = "tendon-page, % of a core"
 # Memory is still being taken so long after the start, min.
 WARM_UP_MIN = 5
 
@@ -106,6 +99,7 @@ def measure_stops(browser, home, count, seed):
             page.wait_for(f"{IS_LIVE} && {TITLE} === 'The arm waits'", LIMIT_S)
             waits_ms = []
             for trial in range(count):
+                page.wait_for(MAY_ARM)
                 page.value("document.querySelector('#arm').focus()")
                 page.press_enter()
                 page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
@@ -125,25 +119,6 @@ def measure_stops(browser, home, count, seed):
     at = lambda share: waits_ms[min(count - 1, int(share * count))]
     print(f"press of STOP to the arm's stop on the wire, {count} presses: p50 {at(0.5):.1f} ms, p99 {at(0.99):.1f} ms, "
           f"most {waits_ms[-1]:.1f} ms")
-
-
-def children(parent):
-    """Numbers of all processes below a process, and their names."""
-    found, parents = {}, {}
-    for entry in pathlib.Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            head, fields = (entry / "stat").read_text().rsplit(")", 1)
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        parents.setdefault(int(fields.split()[1]), []).append((int(entry.name), head.split("(", 1)[1]))
-    waiting = [parent]
-    while waiting:
-        for number, name in parents.get(waiting.pop(), []):
-            found[number] = name
-            waiting.append(number)
-    return found
 
 
 def memory_mb(numbers):
@@ -168,76 +143,6 @@ def measure_pixel(browser, home, seconds):
             time.sleep(10)
             print(f"muscle to pixel: {page.value(shown)}", flush=True)
         assert tendon.end() == 0, tendon.lines
-
-
-class Viewer:
-    """Looks at a page as a browser on another machine does: it reads all that comes, and draws nothing here."""
-
-    def __init__(self, link):
-        address, token = link.removeprefix("http://").split("/#")
-        host, port = address.rsplit(":", 1)
-        self._socket = socket.create_connection((host, int(port)))
-        key = base64.b64encode(random.randbytes(16)).decode()
-        self._socket.sendall((f"GET /ws?token={token} HTTP/1.1\r\nHost: {address}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-                              f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n").encode())
-        self.bytes = 0
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def _read(self):
-        while chunk := self._socket.recv(1 << 20):
-            self.bytes += len(chunk)
-
-
-def processor_s(number):
-    """Time that a process has had on the processor, s."""
-    fields = pathlib.Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def measure_viewers(home, turns, seconds):
-    signal = ["--set", f"acquisition.channels={CHANNELS}", "--set", "acquisition.simulate.profile=stranger-19"]
-    print(f"calibrating somebody on {CHANNELS} channels", flush=True)
-    with home.tendon("calibrate", "viewed", "--hold", "3s", *signal) as calibration:
-        wait_until("the calibration", lambda: calibration.process.poll() is not None, 5 * LIMIT_S)
-        assert calibration.process.returncode == 0, calibration.lines
-    kinds = {"no page": None, "page, no viewer": 0, "page, two viewers": 2}
-    rows = {kind: [] for kind in kinds}
-    for turn in range(turns):
-        for kind in random.sample(list(kinds), len(kinds)):
-            rows[kind].append(measure_session(home, kinds[kind], seconds, signal))
-            print(f"{turn + 1} of {turns}: {kind}, {WHOLE} {rows[kind][-1][WHOLE]:.1f} us", flush=True)
-    print(f"medians of {turns} turns of {seconds} s, us; in brackets as a share of those without a page")
-    for name in rows["no page"][0]:
-        medians = {kind: statistics.median(row[name] for row in rows[kind]) for kind in kinds}
-        print(f"{name:34}" + "  ".join(f"{kind} {value:7.1f} ({value / medians['no page']:.2f})"
-                                       for kind, value in medians.items()))
-    for kind in list(kinds)[1:]:
-        print(f"{SHARE} with {kind}: {statistics.median(row[SHARE] for row in rows[kind]):.2f}")
-
-
-def measure_session(home, viewers, seconds, signal):
-    """Of one session, us: each hop, and newest sample to command. And what its page had of a core, if there is one."""
-    row = {}
-    report = home.path / "report.json"
-    page = [] if viewers is None else ["--page", "--page-port", "0", "--no-browser"]
-    with home.tendon("run", "--session", f"page-viewers-{os.getpid()}", "--person", "viewed", "--duration", f"{seconds}s",
-                     "--json", report, *page, *signal) as tendon:
-        if page:
-            link = tendon.line("page: ")
-            looking = [Viewer(link) for _ in range(viewers)]
-            server = next(number for number, name in children(tendon.process.pid).items() if name == "tendon-page")
-            time.sleep(seconds / 2)
-            before, begun_s = processor_s(server), time.monotonic()
-            time.sleep(seconds / 3)
-            row[SHARE] = 100 * (processor_s(server) - before) / (time.monotonic() - begun_s)
-            assert all(viewer.bytes > 1000 * seconds for viewer in looking), "a viewer was shown nothing"
-        wait_until("the session's end", lambda: tendon.process.poll() is not None)
-        assert tendon.process.returncode == 0, tendon.lines
-    measured = json.loads(report.read_text())
-    spans = {f"{hop['from']} to {hop['to']}": hop for hop in measured["hops"]}
-    spans["newest sample to command"] = measured["newest_sample_to_command"]
-    row |= {f"{name}, {short}": span[f"{short}_us"] for name, span in spans.items() for short in ("p50", "p99")}
-    return row
 
 
 def measure_memory(browser, home, minutes, seed):
@@ -279,17 +184,10 @@ def main():
     what.add_parser("stop").add_argument("--count", type=int, default=100, help="presses of STOP")
     what.add_parser("memory").add_argument("--minutes", type=int, default=60)
     what.add_parser("pixel").add_argument("--seconds", type=int, default=60)
-    viewers = what.add_parser("viewers")
-    viewers.add_argument("--turns", type=int, default=5, help="sessions of each kind")
-    viewers.add_argument("--seconds", type=int, default=12, help="length of each session")
     options = parser.parse_args()
     programs = find_programs()
     if programs is None:
         raise SystemExit("the programs are not built: cargo build --release --workspace --bins")
-    if options.what == "viewers":
-        random.seed(options.seed)
-        with Home(programs) as home:
-            return measure_viewers(home, options.turns, options.seconds)
     if find_program() is None:
         raise SystemExit("no browser found: install chromium-headless-shell, or name one in TENDON_BROWSER")
     with Browser(find_program()) as browser, Home(programs) as home:

@@ -37,15 +37,14 @@ import time
 import numpy as np
 from mcap.reader import NonSeekingReader
 
-# Where a source of this script listens or is dialled.
-PORT = 54700
 # The session's, and this script's own, names of gestures that move the arm to and fro.
 GESTURES = ["extension", "flexion"]
 # An arm that moved less between two of its reports, mm, is at rest.
 STILL_MM = 0.02
-# Blocks come every 5 ms. A longer pause between two of them, ns, is an outage.
-OUTAGE_NS = 80e6
-# A motion may still end so long after the last sample, ns, before it counts as one without permission.
+# Blocks come every 5 ms. A longer pause between two of them, ns, is an outage: for so long no command can have come, and the arm stops.
+OUTAGE_NS = 150e6
+# A motion may still end so long after samples have come again, ns, before it counts as one without permission: where the whole
+# machine stood still, so did the robot process.
 ENDING_NS = 400e6
 
 
@@ -128,7 +127,8 @@ class NiStandIn:
 class Program:
     """A program that streams a recording of 3DC over TCP: four channels, each sample twice, at 2000 Hz."""
 
-    def __init__(self, recording):
+    def __init__(self, port, recording):
+        self.port = port
         names = {"rest": 0, "flexion": 2, "extension": 4}
         self.samples = {gesture: self.read(recording, number) for gesture, number in names.items()}
         self.playing, self.silent_until, self.lag_s, self.torn_frames = "rest", 0.0, 0.0, 0
@@ -151,7 +151,7 @@ class Program:
             time.sleep(0.02)
 
     def stream(self):
-        with socket.create_connection(("127.0.0.1", PORT)) as tendon:
+        with socket.create_connection(("127.0.0.1", self.port)) as tendon:
             header = {"name": "trial", "channels": ["a", "b", "c", "d"], "rate_hz": 2000}
             tendon.sendall(json.dumps(header).encode() + b"\n")
             begun, frame, self.lag_s, self.is_closing = time.monotonic(), 0, 0.0, False
@@ -193,14 +193,14 @@ class Program:
 
 def open_source(arguments, folder, environment):
     """The source, and the settings of a session with it."""
-    programs, name = arguments.programs, f"faults-{os.getpid()}"
+    programs, port, name = arguments.programs, arguments.port, f"faults-{os.getpid()}"
     match arguments.source:
         case "otb":
-            command = [programs / "tendon-otb-emulator", "muovi", "--connect", f"127.0.0.1:{PORT}"]
-            return Emulator(command, environment), [f"acquisition.otb.address=127.0.0.1:{PORT}", "acquisition.unit=uV"]
+            command = [programs / "tendon-otb-emulator", "muovi", "--connect", f"127.0.0.1:{port}"]
+            return Emulator(command, environment), [f"acquisition.otb.address=127.0.0.1:{port}", "acquisition.unit=uV"]
         case "delsys":
-            command = [programs / "tendon-delsys-emulator", "--command-port", str(PORT), "--emg-port", str(PORT + 1)]
-            ports = [f"acquisition.delsys.command_port={PORT}", f"acquisition.delsys.emg_port={PORT + 1}"]
+            command = [programs / "tendon-delsys-emulator", "--command-port", str(port), "--emg-port", str(port + 1)]
+            ports = [f"acquisition.delsys.command_port={port}", f"acquisition.delsys.emg_port={port + 1}"]
             return Emulator(command, environment), [*ports, "acquisition.unit=uV"]
         case "lsl":
             command = [programs / "tendon-lsl-emulator", "--name", name, "--source-id", name]
@@ -209,7 +209,7 @@ def open_source(arguments, folder, environment):
             environment["DAQMX_EMULATOR_CONTROL"] = str(folder / "control")
             return NiStandIn(folder / "control"), [f"acquisition.nidaqmx.library={programs / 'libnidaqmx.so'}"]
         case "stream":
-            return Program(arguments.recording), [f"acquisition.stream.address=127.0.0.1:{PORT}"]
+            return Program(port, arguments.recording), [f"acquisition.stream.address=127.0.0.1:{port}"]
 
 
 def trial(source, fault, gesture):
@@ -271,11 +271,12 @@ def judge(trials, blocks, states):
         if len(outages) > 0:
             last_ns, back_ns = near[outages[0], 0], near[outages[0] + 1, 1]
             still_moving = is_moving & (times_ns > last_ns) & (times_ns < back_ns)
-            after = (times_ns > max(back_ns, last_ns + ENDING_NS)) & (times_ns < times["ended_ns"])
+            after = (times_ns > max(back_ns, last_ns) + ENDING_NS) & (times_ns < times["ended_ns"])
             result |= {
                 "rest_ms": (times_ns[still_moving].max() - last_ns) / 1e6 if still_moving.any() else 0.0,
                 "found_s": max(back_ns - times["returned_ns"], 0) / 1e9,
                 "moved_without_rest": bool(is_moving[after].any()),
+                "pause_ms": (back_ns - near[outages[0], 1]) / 1e6,
             }
         judged.append(result)
     return judged
@@ -287,6 +288,7 @@ def main():
     parser.add_argument("fault", choices=["close", "kill", "cut", "late", "torn", "overrun"])
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--programs", type=pathlib.Path, default=pathlib.Path("target/release"), help="folder of the programs")
+    parser.add_argument("--port", type=int, default=54700, help="where the source listens or is dialled; it also takes the next one")
     parser.add_argument("--recording", type=pathlib.Path, help="an EMG folder of 3DC, for the source `stream`")
     arguments = parser.parse_args()
     arguments.programs = arguments.programs.resolve()
@@ -318,13 +320,14 @@ def main():
         judged = judge(trials, *read_recording(next(folder.glob("recorded/*/session.mcap"))))
     outages = [result for result in judged if "rest_ms" in result]
     rest_ms = [result["rest_ms"] for result in outages if result["was_moving"]] or [0.0]
+    wrong_ms = [round(result["pause_ms"]) for result in outages if result["moved_without_rest"]]
     found_s = [result["found_s"] for result in outages] or [0.0]
     print(
         f"{arguments.source} {arguments.fault}: {len(trials)} trials, {sum(result['was_moving'] for result in judged)} in a movement, "
         f"{len(outages)} outages\n"
         f"  last sample to the arm at rest: median {np.median(rest_ms):.0f} ms, longest {max(rest_ms):.0f} ms\n"
         f"  found again after its return: median {np.median(found_s):.2f} s, longest {max(found_s):.2f} s\n"
-        f"  moved before a rest: {sum(result['moved_without_rest'] for result in outages)}"
+        f"  moved before a rest: {len(wrong_ms)}" + (f", after pauses of {wrong_ms} ms" if wrong_ms else "")
     )
 
 

@@ -34,6 +34,25 @@ def wait_until(what, condition, watchdog_s=WATCHDOG_S):
     return value
 
 
+def children(parent):
+    """Numbers of all processes below a process, and their names."""
+    found, parents = {}, {}
+    for entry in pathlib.Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            head, fields = (entry / "stat").read_text().rsplit(")", 1)
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        parents.setdefault(int(fields.split()[1]), []).append((int(entry.name), head.split("(", 1)[1]))
+    waiting = [parent]
+    while waiting:
+        for number, name in parents.get(waiting.pop(), []):
+            found[number] = name
+            waiting.append(number)
+    return found
+
+
 class Program:
     """A running program whose output is gathered; a context that ends it."""
 
@@ -125,8 +144,12 @@ class Home:
     def __exit__(self, *_):
         self._folder.cleanup()
 
+    @property
+    def environment(self):
+        """Variables by which programs find it."""
+        return {"HOME": str(self.path), "XDG_DATA_HOME": str(self.path / "data"), "XDG_STATE_HOME": str(self.path / "state"),
+                "ORT_DYLIB_PATH": os.environ.get("ORT_DYLIB_PATH", str(ROOT / ".cache/onnxruntime/libonnxruntime.so"))}
+
     def tendon(self, *words):
         """Starts `tendon` with these words."""
-        here = {"HOME": str(self.path), "XDG_DATA_HOME": str(self.path / "data"), "XDG_STATE_HOME": str(self.path / "state"),
-                "ORT_DYLIB_PATH": os.environ.get("ORT_DYLIB_PATH", str(ROOT / ".cache/onnxruntime/libonnxruntime.so"))}
-        return Program([self.programs / "tendon", *map(str, words)], cwd=self.path, env=os.environ | here)
+        return Program([self.programs / "tendon", *map(str, words)], cwd=self.path, env=os.environ | self.environment)
