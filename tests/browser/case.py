@@ -7,6 +7,7 @@ import unittest
 from browser import Browser, find_program
 
 TITLE = "document.querySelector('#standing-title').textContent"
+MAY_ARM = "document.querySelector('#arm').getAttribute('aria-disabled') === 'false'"
 IS_LIVE = "!document.body.classList.contains('is-away')"
 
 

@@ -11,7 +11,7 @@ import re
 import time
 import unittest
 
-from case import IS_LIVE, TITLE, PageCase
+from case import IS_LIVE, MAY_ARM, TITLE, PageCase
 from fixture import CUE, JOINTS_RAD, RECORDING, REPORT, START_MM, WEB, Session
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -19,6 +19,7 @@ MOST_BYTES = 300_000
 STOP = "document.querySelector('#stop .order-name').textContent"
 ANSWERED = "document.querySelector('#request-outcome').textContent"
 OUTCOME = "document.querySelector('#order-outcome').textContent"
+DETAIL = "document.querySelector('#standing-detail').textContent"
 
 
 def is_shown(selector):
@@ -90,7 +91,7 @@ class InBrowser(PageCase):
         page.wait_for("document.querySelector('#hand use').getAttribute('href') === '#hand-extension'"
                       " && document.querySelector('#hand use').getBBox().width > 50")
         page.wait_for("/^p50 \\d/.test(document.querySelector('#muscle-to-pixel').textContent)")
-        self.assertEqual(page.value("document.querySelectorAll('#hops tr').length"), 4)
+        page.wait_for("document.querySelectorAll('#hops tr').length === 4")
         self.screenshot(page, "following")
 
     def test_the_arm_is_drawn_where_it_is(self):
@@ -121,16 +122,18 @@ class InBrowser(PageCase):
         page.wait_for(f"{STOP} === 'STOPPED' && {TITLE} === 'The arm is stopped'")
         self.assertEqual(self.session.orders, ["stop", "stop"])
         self.screenshot(page, "stopped")
+        page.wait_for(MAY_ARM)
         page.click("#arm")
         page.wait_for(f"{STOP} === 'STOP' && {TITLE} === 'Ready · rest'")
         self.assertEqual(self.session.orders[2:], ["arm"])
         # What was said of the arm is taken back when it is not so any more.
         page.wait_for(f"{OUTCOME} === 'The arm may move. Relax first.'")
         self.session.state = {"permission": "stopped", "stop_reason": "arm-fault", "fault": "arm error 31, a collision: look around"}
-        page.wait_for("document.querySelector('#order-outcome').hidden")
-        self.assertIn("It says: arm error 31, a collision: look around.", page.text("#standing-detail"))
+        page.wait_for("document.querySelector('#order-outcome').hidden"
+                      f" && {DETAIL}.includes('It says: arm error 31, a collision: look around.')")
         # An arm that goes to its start position first has obeyed, too.
         self.session.obeys = False
+        page.wait_for(MAY_ARM)
         page.click("#arm")
         self.session.state = {"permission": "stopped", "phase": "going-to-start"}
         page.wait_for(f"{OUTCOME}.startsWith('Armed. The arm goes to its start position first.')")
@@ -144,6 +147,7 @@ class InBrowser(PageCase):
             # The space bar on the button that arms stops, too.
             page.value("document.querySelector('#arm').focus()")
             page.press_space()
+            page.wait_for(MAY_ARM)
             page.press_enter()
             page.wait_for(f"{STOP} === 'STOP'")
         self.assertEqual(self.session.orders, ["stop", "stop", "arm"] * 3)
@@ -344,8 +348,7 @@ class InBrowser(PageCase):
         self.session.restart("failed")
         self.session.desk = {"failed": "the amplifier has no power"}
         page.wait_for(f"{IS_LIVE} && {TITLE} === 'The next one could not begin'"
-                      f" && {ANSWERED} === 'Next session: could not begin'")
-        self.assertEqual(page.text("#standing-detail"), "the amplifier has no power")
+                      f" && {ANSWERED} === 'Next session: could not begin' && {DETAIL} === 'the amplifier has no power'")
         self.screenshot(page, "could-not-begin")
         page.click("#next-open")
         page.click(begin)
@@ -398,8 +401,8 @@ class InBrowser(PageCase):
         page.press_enter()
         self.session.desk = {"calibration": CUE | {"phase": "stopped", "ask": "nothing", "may": []}}
         page.wait_for(f"{TITLE} === 'The calibration was stopped'"
+                      f" && {DETAIL} === 'What was recorded is kept. anna stays as calibrated before.'"
                       " && document.querySelectorAll('.report-orders button').length === 3")
-        self.assertEqual(page.text("#standing-detail"), "What was recorded is kept. anna stays as calibrated before.")
         page.click(".report-orders button:last-child")
         page.wait_for(is_shown("#next"))
         page.press("Escape", "Escape", 27)
@@ -431,8 +434,9 @@ class InBrowser(PageCase):
                 "throughput_bits_per_s": 0.912, "dwell_share": 0.0}
         self.session.desk = {"task": task}
         page = self.open()
-        page.wait_for("document.querySelector('#task-zone').textContent === 'Zone: 40\u00a0mm left · 20\u00a0mm down'")
-        self.assertEqual(page.text("#task-scores"), "3 of 4 reached · overshoots: 1 · 0.91\u00a0bit/s")
+        page.wait_for("document.querySelector('#task-zone').textContent === 'Zone: 40\u00a0mm left · 20\u00a0mm down'"
+                      " && document.querySelector('#task-scores').textContent"
+                      " === '3 of 4 reached · overshoots: 1 · 0.91\u00a0bit/s'")
         picture = page.value("document.querySelector('#arm-canvas').toDataURL()")
         self.session.desk = {"task": task | {"zone": zone | {"center_mm": START_MM}, "dwell_share": 0.4}}
         page.wait_for("document.querySelector('#task-zone').textContent === 'In the zone: hold still'"

@@ -9,7 +9,7 @@ import os
 import socket
 import unittest
 
-from case import IS_LIVE, TITLE, PageCase
+from case import IS_LIVE, MAY_ARM, TITLE, PageCase
 from programs import ROOT, Emulator, Home, find_programs, wait_until
 from test_page import ANSWERED, STOP, is_shown
 
@@ -59,6 +59,7 @@ class RealSessions(PageCase):
         page.wait_for(f"{TITLE} === 'The arm waits'", LIMIT_S)
         picture = "document.querySelector('#traces').toDataURL()"
         page.wait_for(f"{picture} !== {json.dumps(page.value(picture))}")
+        page.wait_for(MAY_ARM)
         page.click("#arm")
         page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
         _, _, height = arm.state()
@@ -72,6 +73,7 @@ class RealSessions(PageCase):
         self.assertEqual((state, speed), ("Stopped", 0.0))
         self.screenshot(page, "stopped")
         page.type("n")
+        page.wait_for(MAY_ARM)
         page.value("document.querySelector('#arm').focus()")
         page.press_enter()
         page.wait_for(f"{TITLE} === 'Ready · rest'", LIMIT_S)
@@ -105,6 +107,7 @@ class RealSessions(PageCase):
         page.click("[data-choice=task] [data-option=zones]")
         page.click("#next .column:first-child .begins")
         page.wait_for(f"{ANSWERED} === 'Next session: begun' && {IS_LIVE} && {TITLE} === 'The arm waits'", LIMIT_S)
+        page.wait_for(MAY_ARM)
         page.click("#arm")
         page.wait_for(f"{TITLE} === 'Ready · rest' && document.querySelector('#task-zone').textContent.startsWith('Zone: ')",
                       LIMIT_S)
@@ -133,7 +136,7 @@ class RealSessions(PageCase):
             for page in (first, second):
                 page.call("Page.bringToFront")
                 page.wait_for(f"{TITLE} === 'The arm is stopped'", LIMIT_S)
-            self.assertIn("Restarts: 0.", first.text("#latency-facts"))
+            first.wait_for("document.querySelector('#latency-facts').textContent.includes('Restarts: 0.')", LIMIT_S)
         self.assertEqual(tendon.end(), 0)
         self.assertFalse(any("goes on without" in line for line in tendon.lines), tendon.lines)
 
@@ -166,9 +169,10 @@ class RealSessions(PageCase):
         self.screenshot(page, "calibration-report")
         page.click(".report-orders .begins")
         page.wait_for(f"{ANSWERED} === 'Session with anna: begun' && {IS_LIVE} && {TITLE} === 'The arm waits'", LIMIT_S)
+        page.wait_for(MAY_ARM)
         page.click("#arm")
         page.wait_for(f"/^(Ready|Following) · /.test({TITLE})", LIMIT_S)
-        self.assertIn("anna", page.text("#session-facts"))
+        page.wait_for("document.querySelector('#session-facts').textContent.includes('anna')", LIMIT_S)
 
 
 if __name__ == "__main__":
