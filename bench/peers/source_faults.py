@@ -270,6 +270,10 @@ def judge(trials, blocks, states):
         outages = np.flatnonzero(np.diff(near[:, 1]) > OUTAGE_NS)
         if len(outages) > 0:
             last_ns, back_ns = near[outages[0], 0], near[outages[0] + 1, 1]
+            # A robot at work says 250 times a second where it is. Where it says nothing, the recorder missed what happened, blocks, too.
+            if not ((times_ns > back_ns - 0.7 * OUTAGE_NS) & (times_ns < back_ns)).any():
+                judged.append(result | {"was_missed": True})
+                continue
             still_moving = is_moving & (times_ns > last_ns) & (times_ns < back_ns)
             after = (times_ns > max(back_ns, last_ns) + ENDING_NS) & (times_ns < times["ended_ns"])
             result |= {
@@ -322,9 +326,10 @@ def main():
     rest_ms = [result["rest_ms"] for result in outages if result["was_moving"]] or [0.0]
     wrong_ms = [round(result["pause_ms"]) for result in outages if result["moved_without_rest"]]
     found_s = [result["found_s"] for result in outages] or [0.0]
+    missed = sum("was_missed" in result for result in judged)
     print(
         f"{arguments.source} {arguments.fault}: {len(trials)} trials, {sum(result['was_moving'] for result in judged)} in a movement, "
-        f"{len(outages)} outages\n"
+        f"{len(outages)} outages" + (f", {missed} trials not judged: the recorder missed parts of them" if missed else "") + "\n"
         f"  last sample to the arm at rest: median {np.median(rest_ms):.0f} ms, longest {max(rest_ms):.0f} ms\n"
         f"  found again after its return: median {np.median(found_s):.2f} s, longest {max(found_s):.2f} s\n"
         f"  moved before a rest: {len(wrong_ms)}" + (f", after pauses of {wrong_ms} ms" if wrong_ms else "")
