@@ -97,7 +97,7 @@ def take_turns(kinds, turns, seconds):
             print(f"{kind}: {name} {median[kind][name]:.2f}")
 
 
-def calibrated(home, is_wide, stack):
+def calibrated(home, is_wide, peers):
     """Options of a session with somebody who was calibrated: on 8 simulated channels, or on 64 of an emulated amplifier."""
     if is_wide:
         from source_losses import make_person, open_peer
@@ -105,7 +105,7 @@ def calibrated(home, is_wide, stack):
         environment = os.environ | home.environment
         make_person(home.programs, home.path, environment, "uV")
         peer, options = open_peer("otb-64", WIDE_PORT, home.programs)
-        stack.append(peer)
+        peers.append(peer)
         return options
     signal = ["--set", f"acquisition.channels={CHANNELS}", "--set", "acquisition.simulate.profile=stranger-19"]
     print(f"calibrating somebody on {CHANNELS} channels", flush=True)

@@ -15,8 +15,6 @@ import math
 import os
 import pathlib
 import random
-import re
-import signal
 import socket
 import struct
 import subprocess
