@@ -357,6 +357,8 @@ fn the_next_session_has_what_was_asked_for_and_the_same_page_which_says_why_it_c
         let answer = next(&mut viewer, refused);
         assert!(answer["ok"] == false && answer["text"].as_str().unwrap().contains(why), "{answer}");
     }
+    let back = viewer.ask(&json!({"next": "back"}));
+    assert!(back["ok"] == false && back["text"].as_str().unwrap().contains("session already"), "{back}");
     // It goes on as it was.
     viewer.next("state", |_| true);
     assert_eq!(viewer.ask(&json!({"record": true}))["ok"], true);

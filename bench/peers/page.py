@@ -122,14 +122,15 @@ def measure_stops(browser, home, count, seed):
 
 
 def memory_mb(numbers):
-    """What processes have of their own and their shares of what they share."""
+    """What processes have written, and their shares of the shared memory they use. Their code is left out: how much of it counts for whom
+    changes as other sessions come and go."""
     total_kb = 0
     for number in numbers:
         try:
             rollup = pathlib.Path(f"/proc/{number}/smaps_rollup").read_text()
         except (FileNotFoundError, ProcessLookupError):
             continue
-        total_kb += next(int(line.split()[1]) for line in rollup.splitlines() if line.startswith("Pss:"))
+        total_kb += sum(int(line.split()[1]) for line in rollup.splitlines() if line.startswith(("Pss_Anon:", "Pss_Shmem:")))
     return total_kb / 1e3
 
 

@@ -21,6 +21,7 @@ for a while: only then comes the next rest. The session is recorded; the figures
 """
 
 import argparse
+import contextlib
 import json
 import os
 import pathlib
@@ -294,12 +295,14 @@ def main():
     parser.add_argument("--programs", type=pathlib.Path, default=pathlib.Path("target/release"), help="folder of the programs")
     parser.add_argument("--port", type=int, default=54700, help="where the source listens or is dialled; it also takes the next one")
     parser.add_argument("--recording", type=pathlib.Path, help="an EMG folder of 3DC, for the source `stream`")
+    parser.add_argument("--keep", type=pathlib.Path, help="empty folder that keeps the session's recording and log, and each trial as judged")
     arguments = parser.parse_args()
     arguments.programs = arguments.programs.resolve()
     if arguments.source == "stream" and arguments.recording is None:
         parser.error("the source `stream` needs --recording")
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() if arguments.keep is None else contextlib.nullcontext(arguments.keep) as folder:
         folder = pathlib.Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
         environment = os.environ | {"XDG_STATE_HOME": str(folder)}
         source, settings = open_source(arguments, folder, environment)
         settings = [f"acquisition.source={arguments.source}", *settings]
@@ -322,6 +325,8 @@ def main():
             session.wait(30)
         source.kill()
         judged = judge(trials, *read_recording(next(folder.glob("recorded/*/session.mcap"))))
+        results = [times | {key: value.item() if isinstance(value, np.generic) else value for key, value in result.items()} for times, result in zip(trials, judged)]
+        (folder / "trials.json").write_text(json.dumps(results, indent=1))
     outages = [result for result in judged if "rest_ms" in result]
     rest_ms = [result["rest_ms"] for result in outages if result["was_moving"]] or [0.0]
     wrong_ms = [round(result["pause_ms"]) for result in outages if result["moved_without_rest"]]

@@ -263,6 +263,10 @@ impl SessionDesk {
         if let Some(why_not) = &self.why_not_next {
             return asked.answer(&Answer::refused(why_not.clone()));
         }
+        if next == Next::Back {
+            return asked
+                .answer(&Answer::refused("this is a session already: only a calibration leads back to one"));
+        }
         let (run, strategy, checking) = (self.run.clone(), self.strategy, self.checking.clone());
         let check = move || match next::command_line_after(&run, strategy, &next) {
             // Nobody listens any more once the session is over; the request says so itself.

@@ -138,7 +138,7 @@ fn tell_what_is_missing(survey: &Survey) {
         let why = if survey.damaged_pieces > 0 {
             "cannot be read to its end"
         } else {
-            "was cut, as when the recorder is killed"
+            "has no end, as when the recorder was killed or is still writing it"
         };
         tell(format_args!(
             "{path}: the recording {why}: what came after {:.1} s is not in it",

@@ -179,6 +179,15 @@ pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
     });
     drop(progress);
     let found = compared.map_err(Failure::input)?;
+    for (place, path) in [&first, &second].into_iter().enumerate() {
+        tell_what_is_missing(path, found.damaged_pieces[place], found.is_whole[place]);
+    }
+    if found.is_empty() {
+        let (first, second) = (first.display(), second.display());
+        return Err(Failure::input(anyhow!(
+            "nothing was compared: neither {first} nor {second} holds a prediction or a command"
+        )));
+    }
     let written = json.as_ref().map(|json| OutputFile::write_json(json, &found));
     print(table("predictions", &found.predictions)).map_err(Failure::running)?;
     print(table("commands", &found.commands)).map_err(Failure::running)?;
@@ -199,6 +208,21 @@ pub fn compare(options: &CompareOptions) -> Result<(), Failure> {
             "the two recordings differ: {}",
             counted(differences as usize, "difference", "differences")
         ))),
+    }
+}
+
+/// Says what could not be compared of a recording.
+fn tell_what_is_missing(path: &Path, damaged_pieces: u64, is_whole: bool) {
+    let path = path.display();
+    if damaged_pieces > 0 {
+        let pieces = counted(damaged_pieces as usize, "piece of it is", "pieces of it are");
+        tell(format_args!("{path}: the file is damaged: {pieces} not compared"));
+    }
+    if !is_whole {
+        tell(format_args!(
+            "{path}: the recording has no end, as when the recorder was killed or is still writing it: what came later is not \
+             compared"
+        ));
     }
 }
 
@@ -227,6 +251,19 @@ mod tests {
     use tendon_session_file::{CONFIGURATION, Writer};
 
     use super::*;
+
+    #[test]
+    fn recordings_of_nothing_are_not_called_the_same() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(FILE_NAME);
+        let mut writer = Writer::begin(fs::File::create(&path).unwrap(), "test", 0).unwrap();
+        writer.attach(CONFIGURATION, "application/toml", b"").unwrap();
+        writer.finish().unwrap();
+        drop(writer);
+        let options = CompareOptions { first: path.clone(), second: path, json: None };
+        let refused = compare(&options).unwrap_err().reason();
+        assert!(refused.contains("nothing was compared"), "{refused}");
+    }
 
     #[test]
     fn a_damaged_model_or_person_of_a_recording_is_refused_unless_another_one_is_named() {

@@ -139,10 +139,10 @@ pub enum OrderError {
     /// The robot process is there but does not answer.
     #[error("the robot of session `{0}` does not answer: use the arm's emergency stop button")]
     NoAnswer(SessionName),
-    /// The session is there, but no robot process takes orders yet, or any more.
+    /// The session is there, but no robot process takes orders yet, or any more; or it is a calibration, which has none.
     #[error(
-        "session `{0}` is starting or ending, and its robot does not take orders: use the arm's emergency stop button if it \
-         moves"
+        "session `{0}` has no robot that takes orders: it is starting or ending, or is a calibration, which moves no arm. Use \
+         the arm's emergency stop button if it moves"
     )]
     NotListening(SessionName),
     /// The answer is none.

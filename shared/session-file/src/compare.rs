@@ -28,6 +28,10 @@ pub struct Comparison {
     /// Whether each recording lacks the beginning of its session: it was begun while that ran. A replay does not know what the
     /// filters and the detector had taken in by then, and begins anew with its first block.
     pub lacks_beginning: [bool; 2],
+    /// Pieces of each file that are damaged and were left out.
+    pub damaged_pieces: [u64; 2],
+    /// Whether each file was finished; `false` if its recorder was killed.
+    pub is_whole: [bool; 2],
 }
 
 /// What differs on one topic.
@@ -64,6 +68,11 @@ impl Comparison {
         self.predictions.count() + self.commands.count()
     }
 
+    /// Whether neither recording holds anything that could be compared.
+    pub fn is_empty(&self) -> bool {
+        self.differences() + self.predictions.same + self.commands.same == 0
+    }
+
     /// Whether both recordings can be the same: either both have the beginning of their session, or neither.
     pub fn is_fair(&self) -> bool {
         self.lacks_beginning[0] == self.lacks_beginning[1]
@@ -93,6 +102,8 @@ pub fn compare(
         predictions: differences(&first.predictions, &second.predictions, prediction_difference),
         commands: differences(&first.commands, &second.commands, command_difference),
         lacks_beginning: [first.lacks_beginning, second.lacks_beginning],
+        damaged_pieces: [first.damaged_pieces, second.damaged_pieces],
+        is_whole: [first.is_whole, second.is_whole],
     })
 }
 
@@ -105,6 +116,8 @@ struct Made {
     predictions: BTreeMap<KeyOfWindow, At<PredictionRecord>>,
     commands: BTreeMap<KeyOfWindow, At<CommandRecord>>,
     lacks_beginning: bool,
+    damaged_pieces: u64,
+    is_whole: bool,
 }
 
 impl Made {
@@ -146,6 +159,8 @@ impl Made {
             predictions: predictions.collect(),
             commands: commands.collect(),
             lacks_beginning: first_sequence.is_some_and(|sequence| sequence > 0),
+            damaged_pieces: reader.damaged_pieces(),
+            is_whole: reader.is_whole(),
         };
         Ok((made, before + reader.bytes_read()))
     }

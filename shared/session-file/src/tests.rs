@@ -467,6 +467,19 @@ fn two_recordings_are_compared_window_by_window() {
     assert!(found.commands.first[0].what.starts_with("twist [0.0, -0.0,"), "{:?}", found.commands.first[0]);
     assert_eq!(found.predictions.first[0].what, "only in the first recording");
     assert!(found.is_fair() && found.lacks_beginning == [false, false]);
+    assert_eq!((found.damaged_pieces, found.is_whole), ([0, 0], [true, true]));
+
+    // Cut, and damaged in its first chunk.
+    let bytes = std::fs::read(&first_path).unwrap();
+    let cut = first_path.with_file_name("cut.mcap");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let damaged = first_path.with_file_name("damaged.mcap");
+    let mut flipped = bytes.clone();
+    let place = bytes.windows(12).position(|part| part == b"\"probabiliti").unwrap();
+    flipped[place] ^= 1;
+    std::fs::write(&damaged, flipped).unwrap();
+    let found = compare(&cut, &damaged, |_| ()).unwrap();
+    assert_eq!((found.damaged_pieces, found.is_whole), ([0, 1], [false, true]));
 
     // Begun by key, in a running session.
     let first_block = first.messages.iter().position(|message| matches!(message, Message::Block(_))).unwrap();
