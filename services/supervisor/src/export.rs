@@ -19,7 +19,7 @@ use tendon_people::PersonInUse;
 use crate::Failure;
 use crate::output::{counted, print, tell};
 use crate::progress::Progress;
-use crate::recorded::file_of;
+use crate::recorded::{file_of, why_no_end};
 
 /// Command line of `tendon export`.
 #[derive(Debug, Args)]
@@ -135,15 +135,8 @@ fn tell_what_is_missing(survey: &Survey) {
         ));
     }
     if !survey.is_whole {
-        let why = if survey.damaged_pieces > 0 {
-            "cannot be read to its end"
-        } else {
-            "has no end, as when the recorder was killed or is still writing it"
-        };
-        tell(format_args!(
-            "{path}: the recording {why}: what came after {:.1} s is not in it",
-            survey.duration_s
-        ));
+        let no_end = why_no_end(survey.damaged_pieces);
+        tell(format_args!("{path}: {no_end}: what came after {:.1} s is not in it", survey.duration_s));
     }
 }
 

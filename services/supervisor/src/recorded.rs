@@ -219,10 +219,15 @@ fn tell_what_is_missing(path: &Path, damaged_pieces: u64, is_whole: bool) {
         tell(format_args!("{path}: the file is damaged: {pieces} not compared"));
     }
     if !is_whole {
-        tell(format_args!(
-            "{path}: the recording has no end, as when the recorder was killed or is still writing it: what came later is not \
-             compared"
-        ));
+        tell(format_args!("{path}: {}: what came later is not compared", why_no_end(damaged_pieces)));
+    }
+}
+
+/// Why a recording whose end was not found has none, where so many of its pieces are damaged.
+pub fn why_no_end(damaged_pieces: u64) -> &'static str {
+    match damaged_pieces {
+        0 => "the recording has no end, as when the recorder was killed or is still writing it",
+        _ => "the recording cannot be read to its end",
     }
 }
 
